@@ -64,8 +64,9 @@ def solve(
     """Plan the minimum-energy flight of a scenario, and verify the plan by simulation.
 
     A scenario may state a risk, the permitted probability that a flight breaks a limit. The plan
-    then keeps a margin to each limit. The default risk is 1 % if the duration is free. For a given
-    duration, or if `vehicle.attitude` is "paper", the default is to permit any risk.
+    then keeps a margin to each limit. The default risk is 1 % if the duration is free. It is 100 %,
+    without margins, if the duration is given, or if `vehicle.attitude` is "paper" (kinematics of
+    Yacef et al.).
 
     Parameters
     ----------

@@ -1,11 +1,10 @@
 """Registry of the presenter, the module that draws figures and writes reports.
 
-The presenter is the module `pyomo_quad.report.presenting`. Methods such as `Plan.plot` reach it
-through the function `presenter` of this module. Their modules must not import it: the import of
-matplotlib takes time, and the presenter's package imports the packages of plans and runs, so that
-the imports would be circular.
+The presenter is the module `pyomo_quad.report.presenting`. Methods such as `Plan.plot` call
+`presenter` of this module and do not import the presenter directly. A direct import would be
+circular, and would load matplotlib, which takes time.
 
-Therefore `pyomo_quad/__init__.py` registers here a function that imports the presenter.
+`pyomo_quad/__init__.py` registers a function that imports the presenter.
 """
 
 from collections.abc import Callable
@@ -18,7 +17,7 @@ class Picture(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the figure, or of the column of the trajectory table that the figure shows."""
+        """Name by which the figure was requested: name of a figure or of a table column."""
 
     @property
     def caption(self) -> str:
@@ -48,71 +47,27 @@ class Presenter(Protocol):
     def picture_of_plan(self, plan: Any, what: str) -> Picture:  # noqa: ANN401
         """Draw one figure of a plan.
 
-        Parameters
-        ----------
-        plan : Plan
-            Planned flight.
-        what : str
-            Name of a figure of the plan's report, or a column of the plan's trajectory table, which
-            is then drawn against time.
-
-        Returns
-        -------
-        Picture
-            The drawn figure with its caption.
+        `what` names a figure of the plan's report, or a column of its trajectory table, which is
+        drawn against time.
         """
 
     def picture_of_run(self, result: Any, what: str) -> Picture:  # noqa: ANN401
         """Draw one figure of a run: a plan with the baseline flights it is compared with.
 
-        Parameters
-        ----------
-        result : RunResult
-            Result of `run_scenario`.
-        what : str
-            Name of a figure of the run's report, or a column of the plan's trajectory table, which
-            is then drawn against time.
-
-        Returns
-        -------
-        Picture
-            The drawn figure with its caption.
+        `what` names a figure of the run's report, or a column of the plan's trajectory table, which
+        is drawn against time.
         """
 
     def report_plan(self, plan: Any, folder: str | Path, figures: str) -> Path:  # noqa: ANN401
-        """Write the report of a plan.
+        """Write the report of a plan, and return its Markdown file.
 
-        Parameters
-        ----------
-        plan : Plan
-            Planned flight.
-        folder : str or Path
-            Folder that receives the report.
-        figures : str
-            Which figures to write: a value of `pyomo_quad.report.Figures`.
-
-        Returns
-        -------
-        Path
-            The report's Markdown file.
+        `figures` is a value of `pyomo_quad.report.Figures`.
         """
 
     def report_run(self, result: Any, folder: str | Path, figures: str) -> Path:  # noqa: ANN401
-        """Write the report of a run: a plan with the baseline flights it is compared with.
+        """Write the report of a run, and return its HTML page.
 
-        Parameters
-        ----------
-        result : RunResult
-            Result of `run_scenario`.
-        folder : str or Path
-            Folder that receives the report.
-        figures : str
-            Which figures to write: a value of `pyomo_quad.report.Figures`.
-
-        Returns
-        -------
-        Path
-            The report's HTML page.
+        `figures` is a value of `pyomo_quad.report.Figures`.
         """
 
 

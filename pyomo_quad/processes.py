@@ -43,26 +43,8 @@ def side_by_side(
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
-    The copies start at the beginning of the ``with`` block and are killed at its end. Where a fork
-    is not safe (see `cores`), all tasks run in this process. A task without a result from a copy
-    runs again in this process, and any error is raised here.
-
-    Parameters
-    ----------
-    tasks : sequence of callable
-        Functions without arguments.
-    use_blas : bool, default True
-        Whether the tasks call BLAS. If they call BLAS with several threads, all tasks run in this
-        process.
-    is_stopped : callable, optional
-        Function that returns True after a stop, for example by the user. This process then calls
-        the unfinished tasks itself, so each task must return at once after a stop.
-
-    Yields
-    ------
-    callable
-        Function without arguments that finishes all tasks, and returns the results in the order
-        of `tasks`.
+    The block yields a function that finishes all tasks and returns their results in order. After a
+    stop (`is_stopped`), each task must return at once.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -82,6 +64,7 @@ def side_by_side(
         return sent
 
     def finish() -> tuple[Any, ...]:
+        # An error of a task in this process is raised here.
         done = {at: tasks[at]() for at in taken()}
         latest = monotonic() + 60.0 + _PATIENCE * (monotonic() - began)
         while not _have_ended(answers) and monotonic() < latest:
@@ -116,9 +99,8 @@ def _have_ended(answers: Sequence[Future[Any]]) -> bool:
 def cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes among which tasks are divided, at most ``most``.
 
-    The result counts this process and its forked copies. It is 1 where this process must not be
-    forked: in a worker process, on systems other than Linux, and if the tasks call BLAS
-    (`use_blas`) with several threads.
+    The result counts this process and its forked copies. It is 1 in a worker process, and where a
+    fork is not safe.
     """
     # A forked copy lacks the threads of BLAS.
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
@@ -133,8 +115,8 @@ def cores(most: int, *, use_blas: bool) -> int:
 def process_pool(count: int) -> Iterator[Executor]:
     """Context manager: yield a pool of ``count`` new (spawned) processes.
 
-    Each process uses one thread. All processes are killed at the end of the ``with`` block, even
-    while they work. The block changes environment variables (see `environment_of_workers`).
+    Each process uses one thread. All processes are killed at the end of the ``with`` block, even if
+    they are still working.
     """
     with environment_of_workers():
         pool = pool_of(count)
@@ -175,8 +157,8 @@ _work: Callable[[], Any] | None = None
 def _begin(work: Callable[[], Any] | None) -> None:
     """Initialise a process of a pool, which calls this function once at its start.
 
-    The process stores the function `work`. From now on it ends at SIGTERM, and when its parent
-    ends.
+    The process stores the function `work`. It now ends if it receives SIGTERM, or if its parent
+    process ends.
     """
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work

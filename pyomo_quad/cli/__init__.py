@@ -13,22 +13,10 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one `pyomo-quad` command.
+    """Run one `pyomo-quad` command, and return its exit status, a value of `ExitCode`.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Name and arguments of the command; by default the command-line arguments of the process.
-
-    Returns
-    -------
-    int
-        Exit status, a value of `ExitCode`.
-
-    Notes
-    -----
-    If `arguments` is None, the function also changes settings of the process: signal handlers (see
-    `end_on_signals`), BLAS threads and garbage collection (see `startup.own_process`).
+    If `arguments` is None, the function takes the command-line arguments of the process. It then
+    also changes settings of the process; see `end_on_signals` and `own_process`.
     """
     if arguments is None:
         end_on_signals()

@@ -209,7 +209,7 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    If a plan was made, the returned scenario has its duration and waypoint times.
+    If a plan was made, the returned scenario has the duration and the waypoint times of the plan.
 
     Raises
     ------

@@ -99,9 +99,9 @@ def _ending_signals() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """Return the exit status of the command, or end the process at once with this status.
+    """Return the exit status `status`, or end the process with this status if a timer is running.
 
-    The process ends at once if a signal has started the timer of `Interruption`.
+    The timer is that of `Interruption`; a signal starts it.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -131,13 +131,8 @@ def before_the_end(act: Callable[[], object]) -> None:
 def stop_on_interrupt() -> Iterator[Interruption]:
     """Turn a signal such as Ctrl-C into a request to stop a solve, inside a ``with`` block.
 
-    The signal also starts the timer of `Interruption`.
-
-    Yields
-    ------
-    Interruption
-        Record of the request. A solve inside the block must read its attribute `is_requested` at
-        each iteration, and stop if it is True.
+    A solve inside the block must read `Interruption.is_requested` at each iteration, and stop if it
+    is True. The signal also starts the timer of `Interruption`.
     """
     interruption = Interruption()
     with _handled_by(interruption.request):
@@ -146,17 +141,14 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 
 @contextmanager
 def raise_on_interrupt() -> Iterator[None]:
-    """Context manager: stop the ``with`` block at the first signal.
+    """Context manager: stop the ``with`` block by `KeyboardInterrupt` at the first signal.
 
-    The signal raises `KeyboardInterrupt` inside the block, so that the block can clean up. Later
-    signals are ignored. If the process runs only the command, it ends after half a second at the
-    latest.
+    Later signals are ignored. A process that runs only the command ends within half a second.
 
     Raises
     ------
     Stopped
-        If the block ends by this `KeyboardInterrupt`, or by another exception after the signal. A
-        block that catches the `KeyboardInterrupt` ends normally.
+        If the block ends by `KeyboardInterrupt`, or by any error after the signal.
     """
     is_asked = False
 

@@ -23,24 +23,8 @@ def fly_many(
 ) -> ExitCode:
     """Simulate a plan many times, each time in a random wind, and write the report.
 
-    Parameters
-    ----------
-    path : Path
-        Scenario file to plan (.toml), file of a saved plan, or report folder of a run. Any file
-        with another ending than .toml is read as a plan.
-    flights : int
-        Number of flights.
-    seed : int
-        Seed of the random winds.
-    cruises : sequence of float
-        Speeds [m/s] at which an autopilot flies the mission in the same winds, for comparison.
-    options : Options
-        Options of the command line.
-
-    Returns
-    -------
-    ExitCode
-        Always `VERIFIED`, the exit status 0 of a successful command; failures raise errors.
+    `path` is a scenario file, a saved plan, or a report folder; see `is_plan`. An autopilot flies
+    the mission in the same winds at the speeds `cruises` [m/s], for comparison.
     """
     plan, planner = _plan_of(path, options)
     mission = plan.mission

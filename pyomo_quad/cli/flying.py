@@ -37,23 +37,10 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     A plan is flyable if its simulated flight without feedback arrives at the goal and keeps all
     limits.
 
-    Parameters
-    ----------
-    planner : Planner
-        Planner of the scenario.
-    scenario : Scenario
-        Mission and wind.
-
-    Returns
-    -------
-    Plan
-        A flyable plan.
-
     Raises
     ------
     Exit
-        If the plan is not flyable. The plan's status and message give the reason; they are printed
-        to standard error. The exit status follows from the plan's status.
+        If the plan is not flyable.
     """
     plan = plan_at_risk(scenario, planner)
     if plan.is_flyable:
@@ -67,27 +54,10 @@ _Outcome = TypeVar("_Outcome")
 
 
 def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
-    """Simulate flights by a call of the function `fly`, and return them.
+    """Return the result of `fly`, a function that simulates flights; end the command if it fails.
 
-    If a flight is impossible, `fly` raises `SolveError`. This function then prints the error's
-    message to standard error, and ends the command.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario of the flights. The printed message begins with the scenario's name.
-    fly : callable
-        Function without arguments that simulates and returns one flight or several.
-
-    Returns
-    -------
-    flights
-        The object that `fly` returns.
-
-    Raises
-    ------
-    Exit
-        If a flight is impossible. The exit status is `NOT_SOLVED`, a value of `ExitCode`.
+    If `fly` raises `SolveError`, the error's message is printed with the name of the scenario. The
+    exit status is then `ExitCode.NOT_SOLVED`.
     """
     try:
         return fly()
@@ -101,24 +71,12 @@ def fly_declared(
 ) -> Flight:
     """Simulate a flight of the scenario's vehicle by the package's own equations of motion.
 
-    Parameters
-    ----------
-    planner : Planner
-        Source of the vehicle's equations of motion.
-    scenario : Scenario
-        Mission and wind.
-    reference : Reference or None
-        Reference trajectory that the adaptive controller follows. None applies the plan's controls
-        without feedback. `Reference.CRUISE` flies like an autopilot, at the scenario's cruise
-        speed.
-    plan : Plan or None
-        Plan of the scenario; None if the flight needs no plan.
+    If `reference` is None, the controls of `plan` are applied without feedback.
 
     Raises
     ------
     ScenarioError
-        For a cruise, if the scenario gives several cruise speeds. If it gives none, the speed is
-        tuned; the error is also raised if no tuned flight arrives within the limits.
+        For a cruise, if several speeds are given, or no tuned flight arrives within limits.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
@@ -136,15 +94,7 @@ def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Fligh
     """Simulate a flight under model-predictive control.
 
     At regular intervals during the flight, the controller plans the rest of the mission again.
-
-    Parameters
-    ----------
-    planner : Planner
-        Planner of the repeated solves.
-    scenario : Scenario
-        Mission and wind.
-    knowledge : Knowledge
-        Information on the wind that is available to the repeated solves.
+    `knowledge` states which information on the wind it uses.
     """
     dynamics = vehicle_flown(planner, scenario)
     return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
@@ -165,20 +115,8 @@ def fly_rotorpy(
 ) -> Flight:
     """Simulate the scenario's vehicle in RotorPy, a simulator by other authors.
 
-    Parameters
-    ----------
-    planner : Planner
-        Planner with the scenario's compiled model. The model gives power, battery and wind; RotorPy
-        computes the motion.
-    scenario : Scenario
-        Mission and wind.
-    pilot : str
-        Name of the controller: "adaptive" for the adaptive controller of this package, "se3" for
-        RotorPy's geometric controller, or "open_loop" for the plan's controls without feedback.
-    followed : Reference
-        Reference trajectory.
-    plan : Plan or None
-        Plan, if the reference is a plan.
+    RotorPy computes the motion. The planner's compiled model gives power, battery and wind. `pilot`
+    is a value of the enumeration `Pilot`.
     """
     plant = OutsidePlant(scenario, planner.dynamics(scenario))
     return fly_outside(plant, Pilot(pilot), followed, plan)
@@ -189,21 +127,8 @@ def write_flight(
 ) -> dict[str, Any]:
     """Write a flight's trajectory and summary into a folder, and return the summary.
 
-    The file `flight.csv` has the trajectory as a table over time. The file `summary.json` has the
-    summary: energy, duration and outcome of the flight.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder.
-    planner : Planner
-        Planner that computes the power of hovering, for comparison.
-    scenario : Scenario
-        Mission that was flown.
-    flight : Flight
-        The flight.
-    wall_s : mapping
-        Wall time [s] of each phase of the command.
+    The file `flight.csv` has the trajectory as a table over time. The file `summary.json` has
+    energy, duration and outcome. `wall_s` is the wall time [s] of each phase.
     """
     summary = flight_summary(
         scenario,

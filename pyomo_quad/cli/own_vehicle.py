@@ -108,7 +108,7 @@ def is_asked(*, is_quiet: bool) -> bool:
 def _asked(given: float | None, words: str, *, is_needed: bool = False) -> float | None:
     """Return the value of an option; if it is None, ask the user the question `words`.
 
-    An empty answer gives None, unless `is_needed`; the question is then repeated.
+    An empty answer gives None. If `is_needed` is True, the question is repeated instead.
     """
     while given is None:
         answer = typer.prompt(words, default="" if not is_needed else None, show_default=False)

@@ -124,26 +124,8 @@ class _CommandPlanner(Planner):
 def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = False) -> Planner:
     """Return the planner of a command, which shows progress and stops at signals such as Ctrl-C.
 
-    The planner's method `solve` raises
-
-    - `SolveStopped` if the user stops the solve;
-    - ScenarioError if the scenario's model cannot be transcribed.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario to plan.
-    options : Options
-        Options of the command: permission to run the scenario's Python model builder, and choice of
-        progress display.
-    keeps_usable : bool, default False
-        Whether a solve that the user stops may return its best plan instead of raising
-        `SolveStopped`. The plan is returned if its simulated flight arrives and keeps all limits.
-
-    Raises
-    ------
-    ScenarioError
-        If the scenario's model builder is not allowed or cannot be loaded.
+    If the user stops a solve, the planner raises `SolveStopped`. If `keeps_usable` is True, it
+    returns the best plan instead, provided that this plan is flyable.
     """
     builder = model_builder(scenario, is_code_allowed=options.allow_code)
     return _CommandPlanner(builder, is_quiet=options.is_quiet, keeps_usable=keeps_usable)
@@ -153,19 +135,8 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
 def report_folder(folder: Path) -> Iterator[Path]:
     """Context manager: write a report folder, and keep the earlier report if the solve is stopped.
 
-    If the user stops the solve, the command prints one line and exits. The folder then still has
-    its earlier report. If the best iterate of the solve is nearly feasible, it is saved in the
-    folder NAME-interrupted.
-
-    Yields
-    ------
-    Path
-        An empty temporary folder, which becomes the report folder at the end of the block.
-
-    Raises
-    ------
-    Exit
-        If the user stops the solve. The exit status is that of an interrupted command.
+    It yields a temporary folder, which becomes the report folder at the end. If the user stops the
+    solve, `_kept` saves the best iterate, and the command ends.
     """
     try:
         with output_folder(folder) as aside:
@@ -192,33 +163,15 @@ def _kept(plan: Plan, folder: Path) -> str:
 
 
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
-    """Load a stored plan, and choose the accuracy to which its solve continues.
+    """Load a stored plan, and return it with the scenario of its continuation.
 
-    The new accuracy is the first of these that applies:
-
-    - `solver.accuracy` in the overrides;
-    - the accuracy of the plan's scenario, if the stored plan is not verified at this accuracy;
-    - the next higher accuracy.
-
-    Parameters
-    ----------
-    run : Path
-        File of a saved plan, or report folder of a solve.
-    overrides : sequence of str
-        Changes of fields of the table ``solver``, as ``PATH=VALUE``.
-
-    Returns
-    -------
-    tuple of (Plan, Scenario)
-        The stored plan, and its scenario with the overrides, the new accuracy, and the energy
-        tolerance that belongs to this accuracy.
+    If `overrides` give no accuracy, a verified plan takes the next higher one. Other plans keep
+    theirs.
 
     Raises
     ------
     ScenarioError
-        If the folder contains no readable plan, or if an override changes a field outside
-        ``solver``. Also if the stored plan has the highest accuracy already, and the overrides give
-        no accuracy.
+        If an override is outside ``solver``, or no higher accuracy exists.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)
@@ -274,6 +227,8 @@ _OUTCOMES = {
 }
 # Columns of the printed comparison: value of a row of the comparison table and its format, by
 # heading.
+# Energies include an estimate of the energy from the end of the flight to the exact goal state.
+# From such energies, the saving in percent is 100 (flight - plan) / flight.
 _SHOWN: dict[str, tuple[Callable[[Mapping[Any, Any]], Any], str]] = {
     "scenario": (lambda row: row[ComparisonColumn.SCENARIO], ""),
     "flight": (lambda row: row[ComparisonColumn.FLIGHT], ""),
@@ -333,14 +288,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
     """Print why a plan failed or misses accuracy or risk, and all warnings, to standard error.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan of the command.
-    folder : Path
-        Report folder, to which the message refers.
-    cautions : sequence of str
-        Warnings. A successful plan may also have warnings.
+    The messages refer to the report folder `folder`. A successful plan may also have warnings.
     """
     name = plan.scenario.name
     if not plan.is_verified:
@@ -389,17 +337,8 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
 def comparison_table(comparison: "pd.DataFrame") -> Table:
     """Make a table of the flights of one or more scenarios, for the terminal.
 
-    Parameters
-    ----------
-    comparison : DataFrame
-        One row for each flight, with the columns that the enumeration `ComparisonColumn` lists.
-
-    Returns
-    -------
-    Table
-        One row for each flight. Energies include an estimate of the energy from the end of the
-        flight to the exact goal state. The saving in percent is 100 (flight - plan) / flight,
-        computed from energies. Empty columns are left out.
+    `comparison` has one row for each flight, with the columns that `ComparisonColumn` lists. Empty
+    columns are left out.
     """
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = comparison.to_dict("records")
@@ -424,17 +363,8 @@ def answer(
 ) -> None:
     """Print the result of a command, and the folder of its report.
 
-    Parameters
-    ----------
-    lines : iterable of str or Table
-        Result as lines and tables.
-    summary : mapping
-        Result as values for JSON.
-    folder : Path
-        Report folder.
-    options : Options
-        Options of the command. With `--json`, the summary is printed instead of the lines. With
-        `--quiet` but not `--json`, nothing is printed.
+    With `--json`, `summary` is printed instead of `lines`. With `--quiet` but not `--json`, nothing
+    is printed.
     """
     if options.as_json:
         print(summary_text(summary), end="")

@@ -1,8 +1,8 @@
 """Faster start of a process that runs a single command.
 
 `own_process` limits threads and garbage collection. `import_scipy_alone` avoids slow imports.
-Together they save about a second. Both change settings of the whole process, which must run nothing
-but one command.
+Together they save about a second. Call them only in a process that runs nothing but one command,
+because they change settings of the whole process.
 """
 
 import gc

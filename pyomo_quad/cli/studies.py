@@ -348,8 +348,8 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    `together` pairs each undetermined parameter with the one of most similar effect on power, or
-    "".
+    `together` has pairs of names: a parameter that the measurements do not determine, and the
+    parameter with the most similar effect on power. The second name may be "".
     """
     partners = dict(together)
     for one in parameters:
@@ -393,7 +393,8 @@ def _read(
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
     """Read measured flights, and the description of the vehicle that flew them.
 
-    The CSV file `flights` selects the flights whose column "split" is "fit".
+    All flights are read if `flights` is None. If it is a CSV file, only flights with "fit" in its
+    column "split" are read.
 
     Returns
     -------

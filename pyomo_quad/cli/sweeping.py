@@ -149,17 +149,8 @@ _SECONDS_OF_MEMORY = 60.0
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     """Context manager: show the progress of a sweep, as a bar on a terminal or as lines.
 
-    A sweep solves many variants of a scenario; each variant is a case.
-
-    Parameters
-    ----------
-    is_verbose : bool
-        Whether to print a line for every finished case in addition.
-
-    Yields
-    ------
-    SweepListener
-        The progress display. Pass it to the sweep, which calls its methods.
+    It yields the display, to be passed to the sweep. If `is_verbose` is True, a line is printed for
+    every finished case.
     """
     console = error_console()
     if not console.is_terminal:

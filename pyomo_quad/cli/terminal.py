@@ -102,18 +102,8 @@ _SECONDS_BETWEEN_LINES = 10.0  # in a log file; a shorter solve writes no line
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
     """Context manager: show the progress of a search for a plan in one line on the terminal.
 
-    If standard error is not a terminal, the line is printed every ten seconds.
-
-    Parameters
-    ----------
-    is_quiet : bool
-        Whether the user wants no progress display.
-
-    Yields
-    ------
-    callable or None
-        Function to call with the state of the search at each iteration of the solver; None if
-        `is_quiet`.
+    It yields a function to call with the state of the search, or None if `is_quiet`. If standard
+    error is no terminal, a line appears every ten seconds.
     """
     if is_quiet:
         yield None
@@ -167,22 +157,8 @@ def option(
 ) -> typer.models.OptionInfo:
     """Declare a command-line option that takes a value.
 
-    Parameters
-    ----------
-    flag : str
-        Name of the option, such as ``--out``.
-    metavar : str
-        Name of the value in the help text.
-    words : str
-        Help text.
-    parser : callable, optional
-        Function that converts the text of the value. By default the value is converted to the type
-        of the command's parameter.
-
-    Returns
-    -------
-    OptionInfo
-        Typer's description of the option, to be used in the annotation of a command's parameter.
+    `metavar` is the name of the value in the help text, and `words` is the help text. Without
+    `parser`, the value is converted to the type of the command's parameter.
     """
     info: typer.models.OptionInfo = typer.Option(flag, metavar=metavar, parser=parser, help=words)
     return info

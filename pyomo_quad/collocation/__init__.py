@@ -114,7 +114,7 @@ def compile(  # noqa: A001  as casadi, re and builtins do
     times : mapping, optional
         Physical times that the solve determines. For example, {1.0: m.T1} makes the static variable
         `m.T1` the physical time of all conditions declared at 1.0 in the continuous set. With
-        several continuous sets: one such mapping for the name of each set.
+        several continuous sets: a mapping from the name of each set to such a mapping.
 
     Returns
     -------
@@ -156,8 +156,7 @@ def solve(
 ) -> Solution | JointSolution:
     """Compile and solve a Pyomo.DAE model, and load the solution into the model.
 
-    The variables of the model receive their values at all members of the continuous sets. A failed
-    solve raises no exception; its result is loaded, too, and its status shows the failure.
+    A failed solve raises no exception: its result is loaded, too, and its status shows the failure.
 
     Parameters
     ----------
@@ -170,7 +169,7 @@ def solve(
     times : mapping, optional
         Physical times that the solve determines. For example, {1.0: m.T1} makes the static variable
         `m.T1` the physical time of all conditions declared at 1.0 in the continuous set. With
-        several continuous sets: one such mapping for the name of each set.
+        several continuous sets: a mapping from the name of each set to such a mapping.
     mesh : Mesh or mapping, optional
         Mesh of the solve; only the initial mesh if a `tolerance` is given. By default, that of the
         warm start, or `first_mesh` of `refinement`. With several continuous sets: one mesh for all,
@@ -185,9 +184,9 @@ def solve(
         Start and end of the horizon, in place of the ends of the continuous set. Not supported for
         several continuous sets.
     guess : mapping, optional
-        Initial values by the name of a variable: a function of time, a constant, or samples at the
-        times under the key "time". With several continuous sets, the name of a set maps to a guess
-        for the variables over it.
+        Initial values by the name of a variable: a function of time, a constant, or an array of
+        samples. The key "time" gives the times of the samples. With several continuous sets, the
+        name of a set maps to a guess for the variables over this set.
     warm_start : Solution, WarmStart, JointSolution or tuple of WarmStart, optional
         Solution of the same model on any mesh, from which the solve starts. For a model with
         several continuous sets: a `JointSolution`, or a tuple of `WarmStart`.
@@ -196,12 +195,10 @@ def solve(
     refinement : RefinementOptions, optional
         Settings of the mesh refinement.
     starts : int, default 1
-        Number of initial points from which the first mesh is solved; the best optimum is kept. All
-        but one point are random between the bounds, drawn with fixed seeds. Only 1 is supported for
-        several continuous sets.
+        Number of initial points on the first mesh; the best optimum is kept. All but one point are
+        random between the bounds. Must be 1 for several continuous sets.
     progress : callable, optional
-        Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
-        returning False stops the solve.
+        Called at each iteration of Ipopt with an `Iteration`; returning False stops the solve.
 
     Returns
     -------

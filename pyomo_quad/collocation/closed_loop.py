@@ -1,7 +1,9 @@
 """Vehicle and control law in closed loop, compiled to one CasADi function.
 
-The function is the right-hand side of the closed loop. The control law is written in Python, for
-numbers. To compile the law, it is called once with symbols instead of numbers.
+The function is the right-hand side of the closed loop. Its joint state consists of the vehicle's
+states, the law's own states, and the integral of the objective's integrand. The control law is
+written in Python, for numbers. To compile the law, it is called once with symbols instead of
+numbers.
 """
 
 from __future__ import annotations
@@ -115,26 +117,13 @@ class Law(Protocol):
 def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> Any:
     """Compile a control law to a CasADi function.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Right-hand side of the vehicle.
-    law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`.
-    sizes : (int, int, int)
-        Numbers of time-dependent inputs, joint states and components of the command, from
-        `joint_sizes`.
-
-    Returns
-    -------
-    casadi.Function
-        (joint state, command) -> (controls, time derivatives of the law's own states).
+    The function maps (joint state, command) to (controls, time derivatives of the law's own
+    states). `sizes` are from `joint_sizes`.
 
     Raises
     ------
     TranscriptionError
-        If the law returns a wrong number of controls or of derivatives, branches on its arguments,
-        or calls a function other than those of `Law`.
+        If the law returns a wrong number of values, or violates the rules of `Law`.
     """
     n_states = len(dynamics.state_names)
     joint, command = casadi.SX.sym("joint", sizes[1]), casadi.SX.sym("command", sizes[2])
@@ -154,25 +143,10 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
-    """Return the three dimensions of a closed loop of vehicle and control law.
+    """Return the numbers of time-dependent inputs, joint states, and components of the command.
 
-    The joint state consists of the vehicle's states, the law's own states, and the integral of the
-    objective's integrand.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Right-hand side of the vehicle.
-    n_command : int
-        Number of components of the command that the law follows.
-    n_own : int
-        Number of the law's own states.
-
-    Returns
-    -------
-    int, int, int
-        Number of time-dependent inputs of the equations (see `Dynamics.moment`), number of joint
-        states, and number of components of the command.
+    `n_own` is the number of the law's own states. For the time-dependent inputs, see
+    `Dynamics.moment`.
     """
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command
@@ -181,32 +155,10 @@ def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, in
 def closed(
     dynamics: Dynamics, law: Law, sizes: tuple[int, int, int], numbers: Mapping[str, Any]
 ) -> tuple[list[Any], Any, Any]:
-    """Return a closed loop as CasADi expressions.
+    """Return a closed loop in CasADi: its symbols, the rates of the joint state, the controls.
 
-    The joint state consists of the vehicle's states, the law's own states, and the integral of the
-    objective's integrand.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Right-hand side of the vehicle.
-    law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`.
-    sizes : (int, int, int)
-        Numbers of time-dependent inputs, joint states and components of the command, from
-        `joint_sizes`.
-    numbers : mapping
-        Full name of a parameter -> symbol that replaces it. Unknown names are ignored.
-
-    Returns
-    -------
-    list of symbols
-        Three columns: the time-dependent inputs of the equations (see `Dynamics.moment`); the joint
-        state; and the command that the law follows.
-    expression
-        Time derivative of the joint state.
-    expression
-        Controls.
+    The symbols are three columns: time-dependent inputs of the equations, joint state, command.
+    `numbers` maps names of parameters to symbols that replace them. Unknown names are ignored.
     """
     written = written_law(dynamics, law, sizes)
     names = ("moment", "joint", "command")
@@ -233,8 +185,7 @@ class ClosedLoop:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        (command, x, own) -> (controls, time derivatives of own); see `Law`. The constructor calls
-        the law once, with symbols instead of numbers.
+        (command, x, own) -> (controls, time derivatives of own); see `Law`.
     n_command, n_own : int
         Number of components of the command that the law follows, and number of states of the law.
 
@@ -311,10 +262,10 @@ class ClosedLoop:
     def slopes(
         self, t: FloatArray, joint: FloatArray, command: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the closed loop's right-hand side at n times.
+        """Return the Jacobians of the joint state's time derivative at n times.
 
-        The right-hand side is the time derivative of the joint state. At a kink of the control law,
-        such as a switch of NumPy's `fmin`, the derivatives are one-sided.
+        At a kink of the control law, such as a switch of NumPy's `fmin`, the derivatives are
+        one-sided.
 
         Parameters
         ----------
@@ -328,8 +279,7 @@ class ClosedLoop:
         Returns
         -------
         ndarray, shape (n, n_joint, n_moment)
-            Derivatives with respect to the time-dependent inputs of the equations. The n_moment
-            inputs are those that `Dynamics.moment` returns.
+            Derivatives with respect to the time-dependent inputs; see `Dynamics.moment`.
         ndarray, shape (n, n_joint, n_joint)
             Derivatives with respect to the joint state.
         """

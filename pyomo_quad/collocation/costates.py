@@ -42,26 +42,20 @@ _ROUGH = 0.02
 class Costates:
     """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    `at_points` is more accurate than `stages`, whose order of convergence is lower by 1 than that
-    of the states.
-
     Attributes
     ----------
     mesh : Mesh
-        Mesh of the solution.
     starts : ndarray, shape (n_elements, n_states)
-        Costates just after the left end of each element, where a costate may jump.
+        Costates just after the left end of each element, where they may jump.
     at_points : ndarray, shape (n_points, n_states)
-        Costates at the collocation points, from integrating the adjoint equations.
+        Costates at the collocation points, by integrating the adjoint equations.
     stages : ndarray, shape (n_points, n_states)
-        Costates at the collocation points, directly from the multipliers.
+        Less accurate costates there, directly from the multipliers.
     hamiltonian : ndarray, shape (n_points,)
-        Hamiltonian H = L + p . dx/dt at the collocation points. L is the integrand of the minimised
-        objective per unit of physical time, p are the costates, and x the states.
+        H = L + p . dx/dt, with costates p and integrand L of the minimised objective per unit of
+        physical time.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate over the horizon, at least 1e-9 a / b. Here a is the
-        magnitude of the objective, and b the largest magnitude of the state, or 1 if the state is
-        always 0.
+        Largest magnitude of each costate.
     """
 
     mesh: Mesh
@@ -128,31 +122,14 @@ def costates_of(
 ) -> Costates:
     """Compute costates and Hamiltonian from the multipliers of a nonlinear program.
 
-    See docs/theory/transcription.md, eqs. (9) to (12).
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program of the optimal control problem on one mesh.
-    z : ndarray, shape (n_unknowns,)
-        Unknowns of the program at the solution.
-    multipliers : Multipliers
-        Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
-    bounds : Bounds
-        Bounds of unknowns and constraints.
-    timeline : Timeline
-        Mapping from fractions of the horizon to physical times.
-    objective : float
-        Magnitude of the objective, for the least values in `Costates.sizes`.
-
-    Returns
-    -------
-    Costates
+    The unscaled program has the `multipliers` at the solution `z`. `objective` is the magnitude of
+    the objective. See docs/theory/transcription.md, eqs. (9) to (12).
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
     by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))
     by_state += _bound_multipliers(program, multipliers, bounds)
     weights = mesh.quadrature_weights[:, None]
+    # The order of convergence of `stages` is lower by 1 than that of the states.
     stages, slopes = -by_rate / weights, -by_state / weights
     starts, at_points = np.empty((mesh.elements, by_rate.shape[1])), np.empty_like(stages)
     for degree, chosen, points in _by_degree(mesh):
@@ -168,6 +145,8 @@ def costates_of(
     rates = program.layout.slope_matrix @ states
     spans = timeline.span_at(mesh.point_fractions)
     size = np.abs(states).max(axis=0, initial=0.0)
+    # A costate's magnitude is at least 1e-9 a / b. Here a is the magnitude of the objective, and b
+    # that of the state.
     least = _LEAST * objective / np.where(size > 0.0, size, 1.0)
     return Costates(
         mesh=mesh,
@@ -182,10 +161,10 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the gradients of a weighted sum of path equations and integrands at each point.
+    """Return the gradients of a weighted sum of equations with respect to rates and to states.
 
-    The gradients with respect to rates and to states have shape (n_points, n_states) each.
-    `weights` has shape (n_points, n_path_rows).
+    The equations are the path equations, then the integrands. The gradients have shape (n_points,
+    n_states) each, `weights` (n_points, n_path_rows).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
@@ -220,29 +199,10 @@ def costate_errors_of(
     bounds: Bounds,
     costates: Costates,
 ) -> FloatArray:
-    """Estimate the largest relative error of each costate over the horizon.
+    """Estimate the largest relative error of each costate over the horizon, shape (n_states,).
 
-    The result is the largest of three estimates: the error of integrating the adjoint equations,
-    the error from jumps of the costate at limits on states, and the error that jumps of other
-    costates cause. See docs/theory/transcription.md, eq. (13).
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program of the optimal control problem on one mesh.
-    z : ndarray, shape (n_unknowns,)
-        Unknowns of the program at the solution.
-    multipliers : Multipliers
-        Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
-    bounds : Bounds
-        Bounds of unknowns and constraints.
-    costates : Costates
-        Costates of this solution, as `costates_of` returns them.
-
-    Returns
-    -------
-    ndarray, shape (n_states,)
-        Largest error of each costate, divided by its magnitude in `costates.sizes`; dimensionless.
+    The result is the largest of three estimates, divided by `costates.sizes`: see
+    docs/theory/transcription.md, eq. (13).
     """
     mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
     equations = linearised(program, program.path_variables(z), program.data.at_points())

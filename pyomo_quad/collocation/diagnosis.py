@@ -1,7 +1,7 @@
 """Diagnosis of a failed solve: violated equations, active limits, and least relaxation.
 
 The least relaxation is the least amount by which the model's limits must be relaxed to satisfy all
-equations.
+equations. The best iterate is the point with the least constraint violation that the solve found.
 """
 
 from __future__ import annotations
@@ -43,26 +43,20 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    Here `value` is that of a constraint or an unknown of the nonlinear program. A family consists
-    of all limits that one component of the Pyomo model declares. Its limits share one slack >= 0,
-    which the diagnosis minimises.
+    All limits of one Pyomo component form a family with one common slack >= 0.
 
     Attributes
     ----------
-    family : ndarray of int, shape (n,)
+    family : ndarray of int
         Position of each limit's family in `names`.
-    row, column : ndarray of int, shape (n,)
-        `row` is the index of the limited constraint, or -1. `column` is the index of the limited
-        unknown, or -1.
-    sign : ndarray, shape (n,)
+    row, column : ndarray of int
+        Index of the limited constraint, and of the limited unknown. One of the two is -1.
+    sign : ndarray
         1 for an upper limit, -1 for a lower limit.
-    limit : ndarray, shape (n,)
-        Value of the limit.
-    size : ndarray, shape (n,)
-        Reference magnitude, max(abs(limit), 1 / factor). Here `factor` is the scaling factor of the
-        limited constraint or unknown.
+    limit : ndarray
+    size : ndarray
+        max(abs(limit), 1 / scaling factor of the constraint or unknown).
     names : tuple of str
-        Names of the families.
     """
 
     family: NDArray[np.intp]
@@ -84,18 +78,8 @@ class SoftRows:
     ) -> SoftRows:
         """Collect the one-sided limits of a nonlinear program that a diagnosis may relax.
 
-        Parameters
-        ----------
-        program : Transcription
-            The nonlinear program.
-        bounds : Bounds
-            Bounds of the program. They include the limits on constraints.
-        scaling : Scaling
-            Scaling factors of unknowns and constraints, for the reference magnitudes.
-        limits : list of Limit
-            Limits on unknowns, with the name of the Pyomo component that declares each limit.
-        families : frozenset of str, optional
-            Names of the Pyomo components whose limits are collected; all by default.
+        `limits` are those on unknowns. `families` names the Pyomo components whose limits are
+        collected, by default all.
 
         Raises
         ------
@@ -175,18 +159,17 @@ _ELASTIC = SolverOptions(tolerance=1e-7, max_iterations=300)
 class Residual:
     """Equation that a failed solve violates, and the amount of the violation.
 
-    The violation is that of the best iterate: the point with the least constraint violation that
-    the solve found.
+    The violation is that of the best iterate; see `Diagnosis`.
 
     Attributes
     ----------
     name : str
         Full name of the equation.
     element : int, optional
-        Index of the element in which the equation is violated, from 0. None for an equation that
-        belongs to no single element, such as a condition at a single time.
+        Index of the element, from 0. None for an equation that belongs to no element, such as a
+        condition at a single time.
     time : float, optional
-        Physical time at which the equation is violated; None if `element` is None.
+        Physical time of the violation; None if `element` is None.
     violation : float
         Distance of the equation's value from its bounds.
     unit : str
@@ -239,9 +222,8 @@ class ActiveLimit:
 class Relaxation:
     """Amount by which a component's limits are relaxed to make an infeasible problem feasible.
 
-    A component is a constraint or a variable of the Pyomo model. Several components may have to be
-    relaxed together. The diagnosis minimises the sum of their relaxations, relative to the
-    magnitudes of the limits.
+    A component is a constraint or a variable of the Pyomo model. The diagnosis minimises the sum of
+    all relaxations, relative to the magnitudes of the limits.
 
     Attributes
     ----------
@@ -280,8 +262,8 @@ class Diagnosis:
         Limits that are active at the best iterate.
     least_violation : float
         Least sum of the components' relaxations with which all equations can be satisfied. Each
-        relaxation is divided by the magnitude of the limits. Infinite if the diagnosis did not
-        converge.
+        relaxation is relative to the reference magnitude of its limit; see `SoftRows`. Infinite if
+        the diagnosis did not converge.
     relaxations : tuple of Relaxation
         Relaxations of the components whose limits must all be relaxed to make the problem feasible.
         Empty if all limits can be satisfied.
@@ -313,18 +295,16 @@ def diagnose(
 ) -> Diagnosis:
     """Find the reasons for the failure of a solve.
 
-    The diagnosis solves an elastic program, which relaxes the limits of the model by as little as
-    possible to satisfy all equations.
+    The diagnosis relaxes the limits of the model by as little as possible to satisfy all equations.
 
     Parameters
     ----------
     solution : Solution
-        The result of a solve that did not converge. Its unknowns are the best iterate: the point
-        with the least constraint violation that the solve found.
+        The result of a solve that did not converge. Its unknowns are the best iterate.
     families : frozenset of str, optional
         Names of the components whose limits may be relaxed; all by default.
     progress : callable, optional
-        Called at each iteration of the elastic program's solve; returning False stops the solve.
+        Called at each iteration of the diagnosis; returning False stops it.
 
     Returns
     -------
@@ -375,8 +355,8 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which limits are relaxed, and return Ipopt's result.
 
-    The unknowns of the result are those of the failed program, a relative violation for each limit
-    on a constraint, and one slack per family.
+    The unknowns of the result begin with those of the failed program, and end with one slack per
+    family.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

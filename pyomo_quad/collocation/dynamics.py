@@ -45,21 +45,20 @@ _RIGHT_HAND_SIDE, _SLOPES = "right_hand_side", "slopes"
 
 @dataclass(frozen=True, kw_only=True)
 class Instants:
-    """States and controls at n times, with the corresponding rates and algebraic variables.
+    """States and controls at n times, with rates and algebraic variables.
 
     Attributes
     ----------
     inputs : list of ndarray, each with n rows
         Five arrays: rates (derivatives of the states with respect to the fraction of the horizon);
-        states; algebraic variables; static variables (variables without time); and data (fraction
-        of the horizon and parameters).
+        states; algebraic variables; variables without time; and data (fraction of the horizon and
+        parameters).
     read : callable
-        ``(keys, *inputs)`` -> values of components of the model, shape (n, n_keys). A key is the
-        full name of a component and its index without the time (i for ``x[i, t]``, None for
-        ``x[t]``).
+        ``(keys, *inputs)`` -> values of components of the model, shape (n, n_keys). For the keys,
+        see `Instants.table`.
     numbers : callable
-        (data, new values of constant parameters by full name) -> changed copy of the data, the last
-        array of `inputs`.
+        (data, new values of constant parameters by full name) -> copy of the data with these
+        values. The data are the last array of `inputs`.
     """
 
     inputs: list[FloatArray]
@@ -174,9 +173,9 @@ class Dynamics:
         """Return a right-hand side that solves implicit equations by exactly 20 Newton steps.
 
         An equation is implicit if rates (derivatives of the states) or algebraic variables enter it
-        nonlinearly. Without implicit equations, the result is this object itself. The 20 steps are
-        faster than an iteration until convergence.
+        nonlinearly. Without implicit equations, the result is this object itself.
         """
+        # The 20 steps are faster than an iteration until convergence.
         return self if self._right_hand_side.is_a("SXFunction") else self._written_out
 
     @cached_property
@@ -251,9 +250,8 @@ class Dynamics:
         Returns
         -------
         list of float
-            The fraction of the horizon, then the time-dependent parameters, then other quantities
-            that Python computes at the time t. An example is the number of the branch that a rule
-            of the model takes. `Declarations.scheduled` describes these quantities.
+            The fraction of the horizon, then the time-dependent parameters, then the quantities of
+            `Declarations.scheduled`, for example the number of the phase.
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
@@ -304,8 +302,7 @@ class Dynamics:
             Column of symbols for the time-dependent inputs, in the order of the list that
             `Dynamics.moment` returns.
         changed : mapping
-            Full name of a time-dependent parameter -> symbol that replaces the symbol of this
-            parameter. Other names are ignored.
+            Full name of a time-dependent parameter -> its new symbol. Other names are ignored.
         """
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):
@@ -436,8 +433,8 @@ class Dynamics:
     def _slopes(self) -> Any:
         """CasADi function of the Jacobians of the right-hand side, with the inputs of `_compile`.
 
-        The outputs are the second output of `_compile`, and the Jacobians of the first with respect
-        to states and to controls.
+        Output 1: integrand and dt/ds. Outputs 2 and 3: derivatives of output 1 of `_compile` with
+        respect to states and to controls.
         """
         kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
         if key not in kept:
@@ -761,8 +758,8 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
     Returns
     -------
     tuple of Slot, tuple of Slot
-        Controls, and determined variables, each in the order of `Declarations.algebraics`: that of
-        their first appearance in the constraints.
+        Controls, and determined variables, each in the order in which they first appear in the
+        constraints.
 
     Examples
     --------
@@ -795,22 +792,10 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 def control_limits(
     formulation: Formulation, instance: Instance, breach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return constant lower and upper limits of the algebraic variables that are controls.
+    """Return constant lower and upper limits of the controls, shape (n_algebraics,) each.
 
-    Parameters
-    ----------
-    formulation : Formulation
-        A compiled problem.
-    instance : Instance
-        Parameter values on which the limits depend.
-    breach : float
-        Allowed violation: both limits are widened by breach * max(1, abs(limit)).
-
-    Returns
-    -------
-    ndarray, ndarray
-        Lower and upper limits, shape (n_algebraics,) each, infinite for variables that equations
-        determine. A limit that does not exist or that varies with time is infinite, too.
+    Both limits are widened by breach * max(1, abs(limit)). A limit is infinite if it varies with
+    time or does not exist, or if equations determine the algebraic variable.
     """
     controls = {slot.name for slot in split_algebraics(formulation)[0]}
     is_control = np.array([s.name in controls for s in formulation.compiled.declared.algebraics])
@@ -861,7 +846,7 @@ class _Core:
     """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
 
     `residual` maps (`inner`, all inputs as one column) to the residual of the nonlinear part.
-    `known` maps them to all unknowns, and to integrand and dt/ds.
+    `known` has the same arguments. It returns all unknowns, then integrand and dt/ds.
     """
 
     inner: Any
@@ -872,8 +857,8 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split the equations with residuals `rows`, and solve the linear rest symbolically.
 
-        `unknowns` are the rates, then the determined algebraic variables. `inputs` are the inputs
-        of `Dynamics._compile`, and `rest` is its second output.
+        `unknowns` are the rates, then the determined algebraic variables. `inputs` and `rest` are
+        the inputs and the second output of `Dynamics._compile`.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)

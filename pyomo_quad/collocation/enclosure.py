@@ -1,10 +1,9 @@
 """Guaranteed ranges (enclosures) of expressions over boxes of variables, by interval arithmetic.
 
-A box is a set of intervals, one for each variable. CasADi compiles an expression to a sequence of
-elementary operations. Each operation is evaluated on the lower and upper bounds of its arguments,
-for many boxes at once (Moore, Interval Analysis, 1966). The bounds are rounded to nearest, not
-outwards. An enclosure is therefore accurate to about 1e-14 times the largest magnitude of its
-values.
+A box is a set of intervals, one for each variable. Each elementary operation of an expression is
+evaluated on the bounds of its arguments, for many boxes at once (Moore, Interval Analysis, 1966).
+The bounds are rounded to nearest, not outwards. An enclosure is therefore accurate to about 1e-14
+times the largest magnitude of its values.
 """
 
 from __future__ import annotations
@@ -119,7 +118,7 @@ def symbols(*names: str) -> list[Any]:
 
 
 class Enclosure:
-    """Lower and upper bounds, over boxes of variables, of expressions and of one gradient.
+    """Lower and upper bounds of expressions, and of one gradient, over boxes of variables.
 
     The gradient is that of the first expression with respect to the variables. The square root of a
     negative number counts as 0.
@@ -206,8 +205,8 @@ class _Steps:
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
         """Return operation `k`: CasADi's code, positions of arguments and results, constant.
 
-        The positions refer to CasADi's work array. To read an input or write an output, they are
-        its number and the position in it.
+        The positions are those in CasADi's work array. An input or output is given by its number
+        and a position in it.
         """
         f = self._function
         operation = f.instruction_id(k)

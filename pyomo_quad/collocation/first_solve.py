@@ -40,33 +40,22 @@ _COARSE_MESH = Mesh.uniform(elements=4, degree=3)
 
 @dataclass(kw_only=True)
 class FirstSolve(Search[S], Generic[S]):
-    """Search for a first solution of a problem, trying fallback strategies in a fixed order.
-
-    The search normally begins with a solve as the caller requested. If it fails, the feasibility of
-    the problem is examined. Fallback strategies then change the initial point, the mesh or the
-    settings of Ipopt.
+    """Search for a first solution of a problem, by strategies in a fixed order.
 
     Attributes
     ----------
     solve : callable
-        Function (mesh, start, options=, is_scaled=) -> solution on that one mesh. `start` is a
-        guess or a warm start, and `is_scaled` states whether Ipopt solves the scaled program.
+        (mesh, start, options=, is_scaled=) -> solution on this one mesh.
     finish : callable
-        Function (solver, mesh, start) -> solution, with a function `solver` (mesh, start) for one
-        mesh. If the caller gave a tolerance, the mesh is refined until the tolerance is met.
+        (solver, mesh, start) -> solution, with mesh refinement if the caller gave a tolerance.
     judge : callable
-        Function (failed solution) -> solution with a verdict on feasibility. If equations remain
-        violated at the least constraint violation, the status becomes `INFEASIBLE`. With one
-        horizon, the result is the point of least violation.
+        Failed solution -> solution with a verdict on feasibility.
     mesh : Mesh, list of Mesh, or None
-        Initial mesh, a list for several horizons, None for a model without time.
-    start : Start
-        Initial guess or warm start that the caller requested.
-    options : SolverOptions
-        Settings of Ipopt that the caller requested.
+        Initial mesh; a list for several horizons, None without time.
+    start, options : Start, SolverOptions
+        Initial point and settings that the caller requested.
     first : Solution or JointSolution, optional
-        Result of the solve with the start, mesh and settings that the caller requested; None before
-        that solve.
+        Result of the requested solve.
     """
 
     solve: Callable[..., S]
@@ -101,10 +90,9 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        - `Fact.JUDGED`: the requested solve has failed, and its examination in `judged` was
-          completed.
-        - `Fact.POSSIBLE`: in addition, the examination did not find the problem infeasible.
-        - Any other condition is false here. A subclass may evaluate it.
+        `Fact.JUDGED` is true if the requested solve has failed and `judged` is complete.
+        `Fact.POSSIBLE` also requires that the problem was not found infeasible. Other conditions
+        are false here.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -114,9 +102,8 @@ class FirstSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S | None:
         """Solve with the initial point, mesh and settings of Ipopt that a strategy prescribes.
 
-        `strategy` is the solve that the caller requested, or a fallback. The result is None if the
-        strategy does not apply to this problem. The result of the requested solve is stored in
-        `first`.
+        The result is None if the strategy does not apply to this problem. The first result with the
+        requested initial point is stored in `first`.
         """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
@@ -132,24 +119,8 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        This class knows only one initial point: the warm start or guess that the caller gave. A
-        subclass also uses the initial points that `first` names.
-
-        Parameters
-        ----------
-        first : First
-            Kind of initial point, for example a simulation or the optimum on a coarse mesh.
-        own : callable
-            Function (mesh, start) -> solution of the nonlinear program on that one mesh, with the
-            strategy's settings of Ipopt.
-        mesh : Mesh, list of Mesh, or None
-            Initial mesh; a list for several horizons, None for a model without time.
-
-        Returns
-        -------
-        Solution, JointSolution or None
-            Converged or failed result. A subclass returns None if the problem has no initial point
-            of the kind `first`.
+        This class ignores `first`, and starts from the caller's initial point. A subclass may
+        return None. `own` maps (mesh, start) to a solution on this one mesh.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -157,11 +128,8 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the strategy tried last, ends the search.
 
-        A success or an interruption ends the search. The failure of the solve that the caller
-        requested also does in two cases:
-
-        - the solve diverged;
-        - the caller allows fewer than 200 iterations.
+        A success or an interruption ends the search. So does a failure of the requested solve, if
+        it diverged, or if the caller allows fewer than 200 iterations.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
@@ -186,20 +154,18 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     Attributes
     ----------
     bounds_of : callable
-        Nonlinear program on one mesh -> bounds of its unknowns and constraints. Redundant
-        conditions (constraints at single times) are included.
+        Nonlinear program -> bounds, those of redundant conditions included.
     simulate : callable, optional
-        Function that simulates the model from its initial states. Its result is None if the model
-        has controls or free initial states. The attribute is None if no simulation may be the
-        initial guess.
+        () -> simulated initial guess or None. The attribute is None if no simulation may be the
+        guess.
     instance : Instance
-        Parameter values, horizon and fixed variables of the solve.
+        Parameter values, horizon and fixed variables.
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_overdetermined : bool
-        Whether the model has more equations than free unknowns.
+        Whether the equations outnumber the free unknowns.
     is_mesh_free : bool
-        Whether the first mesh may be changed: the caller gave neither a mesh nor a warm start.
+        Whether the caller gave neither mesh nor warm start.
     """
 
     bounds_of: Callable[[Transcription], Bounds]
@@ -227,24 +193,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        The members of `First` name the kinds of initial points.
-
-        Parameters
-        ----------
-        first : First
-            Kind of initial point.
-        own : callable
-            Function (mesh, start) -> solution of the nonlinear program on that one mesh, with the
-            strategy's settings of Ipopt.
-        mesh : Mesh or None
-            Initial mesh; None for a model without time.
-
-        Returns
-        -------
-        Solution or None
-            Converged or failed result; None if the problem has no initial point of the kind
-            `first`. `First.REDUCED` also gives None if the solve fails or violates a condition that
-            was left out.
+        The result is None if the problem has no initial point of the kind `first`. `First.REDUCED`
+        also gives None if the solve fails or violates a condition that was left out.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))

@@ -74,10 +74,9 @@ class WrittenComponents:
         yield from self._written
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return the CasADi expression of a component, or None if no component has this name.
+        """Return a component's CasADi expression, or None if no component has this name.
 
-        `name` is the component's full name, and `index` its index without the time: (i,) for
-        ``x[i, t]``.
+        `index` is the index without the time: (i,) for ``x[i, t]``.
 
         Raises
         ------
@@ -102,10 +101,8 @@ class Evaluator:
     Parameters
     ----------
     inputs : tuple of casadi.SX
-        Columns of the symbols of five inputs: rates (derivatives of the states with respect to the
-        fraction of the horizon); states; algebraic variables; static variables; and data (fraction,
-        time-dependent and constant parameters). Rates and states include the output states, which
-        come last.
+        Five columns of symbols: rates, states, algebraic variables, static variables, and data.
+        They are those of `Instants.inputs`. In rates and states, the output states come last.
     writer : TemplateWriter or WrittenComponents
         Source of the expressions of the components.
     """
@@ -155,17 +152,12 @@ class Evaluator:
     def expression(self, component: Any, index: Any = None) -> Any:
         """Return a component over time as a CasADi expression of the evaluator's inputs.
 
-        Parameters
-        ----------
-        component : Pyomo component or str
-            Variable or expression, or its full name.
-        index : optional
-            Index of the component without the time: i for ``x[i, t]``, None for ``x[t]``.
+        `component` may be a full name. `index` is i for ``x[i, t]``, and None for ``x[t]``.
 
         Raises
         ------
         TranscriptionError
-            If the component is not a variable or expression over time of this model.
+            If the component is no variable or expression over time of this model.
         """
         name = component if isinstance(component, str) else component.name
         try:
@@ -189,13 +181,8 @@ class Evaluator:
     def is_over_time(self, component: str, index: Any = None) -> bool:
         """Return whether a variable or expression depends on time.
 
-        Parameters
-        ----------
-        component : str
-            Full name of the variable or expression.
-        index : optional
-            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``. For an
-            index that the component does not have, the result is True.
+        `component` is its full name. `index` is i for ``x[i, t]``, and omitted for ``x[t]``. If the
+        component has no such index, the result is True.
         """
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None
@@ -288,15 +275,8 @@ class OutputStates:
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
         """Return the initial values of the output states, shape (n_outputs,).
 
-        Output states are states on which neither objective nor other equations depend.
-
-        Parameters
-        ----------
-        parameters : ndarray, shape (n_parameters,)
-            Values of the parameters without time.
-        fixed : dict
-            Values of fixed variables by (name, fraction of the horizon). A fixed value takes
-            precedence over an initial condition.
+        `fixed` has values of variables by (name, fraction of the horizon). A fixed value takes
+        precedence over an initial condition.
         """
         held = np.asarray(self._starts(parameters)).ravel()
         return np.array(
@@ -308,22 +288,8 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
-        Parameters
-        ----------
-        layout : Layout
-            Positions of variables on the mesh, with its differentiation matrix.
-        start : ndarray, shape (n_outputs,)
-            Initial values.
-        path_variables : ndarray, shape (n_points, n_variables)
-            Rates (derivatives of the states with respect to the fraction of the horizon), states,
-            algebraic and static variables of the nonlinear program, at the collocation points.
-        data : ndarray, shape (n_points, n_data)
-            Fraction of the horizon, time-dependent parameters and constant parameters.
-
-        Returns
-        -------
-        ndarray, shape (n_points + 1, n_outputs)
-            Output states at the nodes: start of the horizon and collocation points.
+        The result, shape (n_points + 1, n_outputs), begins with `start`. `path_variables` and
+        `data` are the inputs of `CompiledModel.path`, with one row per collocation point.
 
         Raises
         ------
@@ -383,15 +349,7 @@ class Formulation:
     def of(cls, model: Any, declared: Declarations, reader: ModelReader) -> Self:
         """Compile a model whose declarations have been read already, and return its formulation.
 
-        Parameters
-        ----------
-        model : ConcreteModel
-            The Pyomo model.
-        declared : Declarations
-            The model's variables, equations and limits, as they were read from the model.
-        reader : ModelReader
-            Reader that read the declarations from the Pyomo model. The reader also translates the
-            model's components to CasADi.
+        `reader` has read the declarations `declared` from the Pyomo model.
         """
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))
@@ -465,17 +423,12 @@ class Formulation:
     ) -> Instance:
         """Collect the data of a single solve: parameter values, horizon and fixed variables.
 
-        Parameters
-        ----------
-        parameters : mapping, optional
-            New values of the model's mutable parameters, by component or full name.
-        horizon : (float, float), optional
-            Start and end of the horizon; by default the ends of the continuous set.
+        `parameters` has new values by component or full name.
 
         Raises
         ------
         TranscriptionError
-            If the horizon does not end after its start, or a parameter is unknown or has no value.
+            If the horizon is not increasing, or a parameter is unknown or has no value.
         """
         if horizon is not None and not horizon[1] > horizon[0]:
             raise TranscriptionError(
@@ -490,11 +443,10 @@ class Formulation:
         )
 
     def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
-        """Return the time-dependent data of the equations at the given fractions of the horizon.
+        """Return the time-dependent data of the equations, one row for each of `fractions`.
 
-        `instance` holds the parameter values of one solve. The result has one row per fraction. Its
-        columns are the fraction, the time-dependent parameters, and the data of rules that branch
-        on time (`Declarations.scheduled`).
+        The columns are the fraction, the time-dependent parameters, and the quantities of
+        `Declarations.scheduled`.
         """
         if not self.compiled.declared.has_signals:
             return fractions[:, None]
@@ -513,8 +465,7 @@ class Formulation:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
         The shape is (1 + n_jumps, n_data). The columns are the fraction of the horizon, the
-        time-dependent and the constant parameters. The function `bounds_of` evaluates bounds with
-        these values.
+        time-dependent and the constant parameters.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
@@ -533,17 +484,10 @@ class Formulation:
         return self._programs[mesh].with_data(data)
 
     def timeline(self, statics: FloatArray, instance: Instance) -> Timeline:
-        """Return the mapping between fractions of the horizon and physical time.
+        """Return the piecewise linear mapping between fractions of the horizon and physical time.
 
-        Free times are physical times that the solve determines. They divide the horizon into
-        phases. Within each phase, the mapping is linear.
-
-        Parameters
-        ----------
-        statics : ndarray, shape (n_statics,)
-            Values of the static variables (variables without time). Some of them may be free times.
-        instance : Instance
-            Data of one solve, which gives the ends of the horizon if these are not free.
+        `statics` are the values of the static variables, some of which may be free times. The
+        horizon of `instance` applies to ends that are not free.
         """
         times = np.array(self.compiled.times(statics, instance.parameters)).ravel()
         return Timeline(fractions=np.array(self.compiled.declared.clock.fractions), times=times)
@@ -625,8 +569,8 @@ class StructuralIndex:
 def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
-    The index is the number of differentiations that turn the equations into an ODE. It is 0 for an
-    ODE. It is also 0 if the equations cannot be assigned to different variables that occur in them.
+    It is 0 for an ODE. It is also 0 if no assignment gives each equation a different variable that
+    occurs in the equation.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """
@@ -665,13 +609,10 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 def refuse_high_index(declared: Declarations) -> None:
     """Raise an error for a DAE of index above 2, which collocation cannot solve as declared.
 
-    `declared` are the declarations of the model, with its equations.
-
     Raises
     ------
     TranscriptionError
-        If the index is above 2. The message names an equation, and says how often to differentiate
-        it.
+        If the index is above 2. The message names an equation and how often to differentiate it.
     """
     found = structural_index(declared)
     if found.index <= _HIGHEST:

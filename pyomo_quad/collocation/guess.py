@@ -55,30 +55,13 @@ def initial_point(
 ) -> FloatArray:
     """Return an initial point that is interpolated between known values, inside the bounds.
 
-    Known values come from the guess, from `initialize` rules and values of the model's variables,
-    and from boundary conditions. Other algebraic variables are computed from the equations that
-    define them.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds of the program's unknowns.
-    values : ModelValues
-        Reader of the values in the Pyomo model.
-    guess : mapping, DataFrame or Trajectory, optional
-        The user's initial values of the variables; see `Guess`. A Trajectory is only interpolated
-        and moved inside the bounds.
-
-    Returns
-    -------
-    ndarray, shape (n_unknowns,)
+    The known values are those of `_Known`. A `Trajectory` is only interpolated and moved inside the
+    bounds.
 
     Raises
     ------
     TranscriptionError
-        If the guess has a name that is no variable of the model.
+        If a name in the guess is no variable.
     """
     if isinstance(guess, Trajectory):
         return np.clip(point_from_trajectory(program, guess), bounds.lower, bounds.upper)
@@ -115,26 +98,8 @@ def first_point(
 ) -> FloatArray:
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
-    States are moved until they satisfy the equations among states alone. If a constraint or a first
-    derivative is then NaN, the algebraic variables are adjusted to the equations.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds of the program's unknowns.
-    values : ModelValues
-        Reader of the values in the Pyomo model.
-    guess : mapping, DataFrame or Trajectory, optional
-        The user's initial values of the variables; see `Guess`.
-    seed : int, default 0
-        Seed of random numbers. If it is above 0, a random point of `scattered` replaces the
-        interpolated point of `initial_point`.
-
-    Returns
-    -------
-    ndarray, shape (n_unknowns,)
+    If `seed` is above 0, the corrected point is a random point of `scattered`, otherwise that of
+    `initial_point`.
     """
     z = initial_point(program, bounds, values, guess)
     z = scattered(program, bounds, z, seed) if seed else z
@@ -147,7 +112,8 @@ def first_point(
 class _Known:
     """Known values for an initial point: fixed values, values in the model, and the guess.
 
-    `given` is the user's guess by variable name, empty if there is none.
+    Fixed values include boundary conditions. Values in the model include those of `initialize`
+    rules. `given` is the user's guess by variable name, empty if there is none.
     """
 
     program: Transcription
@@ -178,8 +144,8 @@ class _Known:
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        If an end of the horizon is a variable, functions take the fraction, and samples span the
-        horizon.
+        If an end of the horizon is a variable, the argument of a function is the fraction, and the
+        times of samples are scaled to the range from 0 to 1.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -261,22 +227,8 @@ _STEPS = 3
 def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Adjust the algebraic variables so that the equations nearly hold at each collocation point.
 
-    The states are not changed. The controls become approximately those that the given states
-    require. Three Gauss-Newton steps are taken in the algebraic variables.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds of the program's unknowns.
-    z : ndarray, shape (n_unknowns,)
-        The given point.
-
-    Returns
-    -------
-    ndarray, shape (n_unknowns,)
-        The adjusted point, inside the bounds.
+    Three Gauss-Newton steps are taken in the algebraic variables, inside the bounds. The states are
+    not changed.
     """
     columns, n = program.layout.algebraic_columns, program.layout.n_states
     if program.mesh is None or not columns.size:
@@ -301,28 +253,8 @@ _PROJECTIONS, _LEFT = 30, 1e-9
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Move states as little as possible until they satisfy the equations among states alone.
 
-    An example of such an equation is a path that a vehicle must follow. The algebraic variables are
-    then adjusted to the moved states.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds of the program's unknowns.
-    z : ndarray, shape (n_unknowns,)
-        The given point.
-
-    Returns
-    -------
-    ndarray, shape (n_unknowns,)
-        The moved point, inside the bounds; `z` itself if the residual of the equations did not
-        decrease.
-
-    Notes
-    -----
-    The states are moved by Gauss-Newton steps. Each step is the shortest possible, measured in
-    units of the states' magnitudes.
+    An example is a path that a vehicle must follow. The algebraic variables are then adjusted to
+    the states. The result is `z` itself if the residual did not decrease.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -346,6 +278,7 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
         if not np.all(np.isfinite(matrices)):
             break
         residuals = program.rows_at_points(moved)[:, rows]
+        # A Gauss-Newton step, the shortest possible in units of the states' magnitudes.
         steps = np.einsum("kij,kj->ki", np.linalg.pinv(matrices * sizes[:, None, :]), residuals)
         moved[columns] -= sizes * steps
         moved = np.clip(moved, bounds.lower, bounds.upper)
@@ -364,24 +297,9 @@ _LARGEST_BOUND = 1e6
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
     """Return a random initial point inside the bounds.
 
-    The values are uniformly distributed between bounds below 1e6 in magnitude, otherwise normally
-    distributed around `z`. A variable over time is linear between four random values at equally
-    spaced times.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds of the program's unknowns.
-    z : ndarray, shape (n_unknowns,)
-        The given point.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    ndarray, shape (n_unknowns,)
+    The values are uniform between the bounds. If a bound is 1e6 or more in magnitude, they are
+    normally distributed around `z`. A variable over time is linear between four equally spaced
+    random values.
     """
     generator = np.random.default_rng(seed)
     layout, moved = program.layout, np.array(z)
@@ -410,8 +328,8 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number`, moved inside the bounds of the unknown `column`.
 
-    A value outside becomes the middle of finite bounds, or the only finite bound. Without finite
-    bounds, NaN becomes inf.
+    A value outside becomes the middle of finite bounds, or the only finite bound. If both bounds
+    are infinite, NaN becomes inf.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:

@@ -162,9 +162,9 @@ class JointSolution(Outcome):
         Parameters
         ----------
         component : Var, DerivativeVar, Expression or str
-            A component of the model or its full name.
+            The component or its full name.
         t : float or array, optional
-            Physical times; omitted for a static variable (a variable without time) or an integral.
+            Physical times; omitted for a variable without time or an integral.
         index : optional
             Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
@@ -202,8 +202,8 @@ class JointSolution(Outcome):
         Returns
         -------
         float or ndarray
-            Costate at each time, in the shape of `t`. The cost is the declared objective. If the
-            objective is to be maximised, the cost is the negative objective.
+            Costates in the shape of `t`. The cost is the objective or, if this is maximised, the
+            negative objective.
 
         Raises
         ------
@@ -230,8 +230,7 @@ class JointProblem(Summarised):
     Attributes
     ----------
     horizons : dict
-        Name of a continuous set -> `Formulation` of this horizon. The formulation has the compiled
-        declarations of the components over the horizon.
+        Name of a continuous set -> compiled declarations of the components over this horizon.
     coupling : Formulation
         The objective, and the declarations that concern several horizons or no horizon.
 
@@ -284,12 +283,13 @@ class JointProblem(Summarised):
         mesh : Mesh or mapping, optional
             One mesh for all horizons, or a mapping from the names of the continuous sets to meshes;
             only the initial meshes if a `tolerance` is given. Element boundaries are added at
-            conditions, fixed values and jumps of parameters. By default, the meshes of the warm
-            start, or `first_mesh` of `refinement`.
+            constraints at single times, fixed values and jumps of parameters. By default, the
+            meshes of the warm start, or `first_mesh` of `refinement`.
         guess : mapping, optional
-            Initial values by the name of a variable: a function of time, a constant, or samples at
-            the times under the key "time". The name of a continuous set maps to a guess for the
-            variables over it, which replaces all other initial values of these variables.
+            Initial values by the name of a variable: a function of time, a constant, or an array of
+            samples. The key "time" gives the times of the samples. The name of a continuous set
+            maps to a guess for the variables over the set; it replaces all other initial values of
+            these variables.
         warm_start : JointSolution or tuple of WarmStart, optional
             Solution of the same model on any meshes.
         horizon : None
@@ -299,21 +299,19 @@ class JointProblem(Summarised):
         tolerance : float, optional
             Required relative error of the states on all horizons; default 1e-6 if no mesh is given.
         parameters : mapping, optional
-            New values of mutable parameters, by component or full name; a function of time for a
-            parameter over time.
+            New values of mutable parameters, by component or full name. The value of a parameter
+            over time is a function of time.
         options : SolverOptions, optional
             Settings of Ipopt.
         refinement : RefinementOptions, optional
             Settings of the mesh refinement.
         progress : callable, optional
-            Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
-            returning False stops the solve.
+            Called at each iteration of Ipopt with an `Iteration`; returning False stops the solve.
 
         Returns
         -------
         JointSolution
-            The result. Its status shows whether the solve converged; a solve that fails to converge
-            raises no exception.
+            The status shows whether the solve converged; a failed solve raises no exception.
 
         Raises
         ------
@@ -439,8 +437,7 @@ class JointProblem(Summarised):
         meshes : sequence of Mesh or None
             Mesh of each horizon, and None for the coupling.
         instances : sequence of Instance
-            Data of the solve (parameter values, start and end of the time), for each horizon and
-            for the coupling.
+            Data of the solve, such as parameter values, for each horizon and for the coupling.
         """
         programs = [
             part.program(mesh, instance)
@@ -598,10 +595,10 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables in `z` that stand for values of one horizon in the coupling.
+        """Set the static variables in `z` that must equal other variables of a horizon.
 
-        An example is the derivative of a state at the end of the horizon. `places` are the
-        positions of the horizon's unknowns.
+        An example of such a variable is the derivative of a state at the end of the horizon.
+        `places` are the positions of the horizon's unknowns.
         """
         if program.mesh is None:
             return
@@ -640,29 +637,14 @@ class JointProblem(Summarised):
 
 
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
-    """Compile a model to a `Problem` or, with several horizons, to a `JointProblem`.
+    """Compile a model to a `Problem` or, with several continuous sets, to a `JointProblem`.
 
-    A horizon is a continuous set of the model that is not discretised.
-
-    Parameters
-    ----------
-    model : ConcreteModel
-        Pyomo.DAE model.
-    final_time : Var, optional
-        Static variable (variable without time) that is the free end of the only horizon; not
-        allowed for several horizons.
-    times : mapping, optional
-        Physical times that the solve determines; see `Problem`. For several horizons: such a
-        mapping for the name of each continuous set; see `JointProblem`.
-
-    Returns
-    -------
-    Problem or JointProblem
+    `times` has the form that the returned class requires.
 
     Raises
     ------
     TranscriptionError
-        If a final time is given for several horizons, or the declarations are unsupported.
+        If the declarations are unsupported, or `final_time` is given for several continuous sets.
     """
     names = [time.name for time in continuous_sets(model)]
     if len(names) < 2:

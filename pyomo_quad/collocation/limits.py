@@ -25,7 +25,7 @@ class Violation:
         Value of the limit at the time of the worst violation; 0 if this value is infinite.
     time : float
         Physical time of the worst violation. For a satisfied limit, the time at which the quantity
-        is nearest to it.
+        is nearest to the limit.
     """
 
     name: str
@@ -45,20 +45,8 @@ class Violation:
 def outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
 
-    Here `bound` is the violated bound, lower or upper. The result is 0 for a value between its
-    bounds.
-
-    Parameters
-    ----------
-    values : ndarray
-        The values.
-    lower, upper : ndarray
-        Lower and upper bounds in the shape of `values`; infinite where there is no bound.
-
-    Returns
-    -------
-    ndarray
-        In the shape of `values`.
+    Here `bound` is the violated bound. The result is 0 for a value between its bounds, which may be
+    infinite.
     """
     with np.errstate(invalid="ignore"):
         below = (lower - values) / np.maximum(1.0, np.abs(lower))
@@ -97,17 +85,8 @@ class LimitValues:
     def worst(self, chosen: slice, t: FloatArray) -> Violation:
         """Return the worst violation of the limit among a range of times.
 
-        Parameters
-        ----------
-        chosen : slice
-            Positions of these times among all n times.
-        t : ndarray, shape (n_chosen,)
-            The chosen times themselves.
-
-        Returns
-        -------
-        Violation
-            The worst violation; its size is 0 if the limit is satisfied at all chosen times.
+        `chosen` are the positions of these times, and `t` the chosen times only. If the limit is
+        satisfied, the size of the violation is 0.
         """
         values, lower, upper = self.values[chosen], self.lower[chosen], self.upper[chosen]
         below, above = lower - values, values - upper

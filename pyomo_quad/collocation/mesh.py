@@ -33,16 +33,15 @@ class RadauRule:
     degree : int
         Number d of collocation points.
     points, weights : ndarray, shape (d,)
-        Collocation points, of which the last is 1, and their quadrature weights.
+        Collocation points, the last of which is 1, and quadrature weights.
     nodes : ndarray, shape (d + 1,)
-        0 and the collocation points, at which a state has values.
+        0 and the collocation points.
     differentiation : ndarray, shape (d, d + 1)
-        Matrix that maps a polynomial's values at the nodes to its slopes at the collocation points.
+        Matrix from values at the nodes to slopes at the collocation points.
     slope_at_start : ndarray, shape (d + 1,)
-        Row vector that maps a polynomial's values at the nodes to its slope at 0.
+        Row vector from values at the nodes to the slope at 0.
     integration : ndarray, shape (d, d)
-        Matrix that maps a polynomial's slopes at the collocation points to the changes of the
-        polynomial between 0 and each collocation point.
+        Matrix from slopes at the collocation points to changes since 0.
     """
 
     degree: int
@@ -70,16 +69,8 @@ def barycentric_weights(nodes: FloatArray) -> FloatArray:
 def interpolation_matrix(nodes: FloatArray, targets: FloatArray) -> FloatArray:
     """Return the matrix that maps a polynomial's values at nodes to its values at other points.
 
-    Parameters
-    ----------
-    nodes : ndarray, shape (n,)
-        Distinct nodes of the polynomial, in the unit interval.
-    targets : ndarray, shape (m,)
-        Points of evaluation; a target equal to a node reproduces its value exactly.
-
-    Returns
-    -------
-    ndarray, shape (m, n)
+    The shape is (n_targets, n_nodes). The nodes are distinct points in the unit interval. A target
+    equal to a node reproduces its value exactly.
     """
     weights = barycentric_weights(nodes)
     difference = targets[:, None] - nodes[None, :]
@@ -107,26 +98,15 @@ def _square_differentiation(nodes: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def radau_rule(degree: int) -> RadauRule:
-    """Return the flipped Radau rule with a given number of collocation points.
+    """Return the flipped Radau rule with `degree` collocation points.
 
-    Parameters
-    ----------
-    degree : int
-        Number of collocation points in the element, at least 1.
-
-    Returns
-    -------
-    RadauRule
+    The interior points are the zeros of the Jacobi polynomial P(1, 0) of degree `degree` - 1,
+    mapped to the unit interval.
 
     Raises
     ------
     TranscriptionError
         If the degree is below 1.
-
-    Notes
-    -----
-    For d collocation points, the interior points are the zeros of the Jacobi polynomial P(1, 0) of
-    degree d - 1, mapped to the unit interval.
     """
     if degree < 1:
         raise TranscriptionError(
@@ -393,18 +373,8 @@ class Timeline:
 def by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
     """Group fractions of the horizon by the element that contains them.
 
-    Parameters
-    ----------
-    mesh : Mesh
-    fractions : ndarray, shape (n,)
-        Times as fractions of the horizon.
-
-    Returns
-    -------
-    list of (int, ndarray, ndarray)
-        For each element that contains at least one of the fractions: the element's index, the
-        positions of these fractions in `fractions`, and their local coordinates in the element,
-        from 0 to 1.
+    Each item is (index of the element, positions in `fractions`, local coordinates from 0 to 1).
+    Elements that contain no fraction are left out.
     """
     elements = mesh.locate(fractions)
     starts = np.asarray(mesh.breakpoints)
@@ -428,8 +398,8 @@ def interpolate(
     ----------
     mesh : Mesh
     values : ndarray, shape (n_points + 1, k) or (n_points, k)
-        Values of k variables. If `with_start` is True, at the n_points + 1 nodes: start of the
-        horizon and collocation points. If it is False, at the n_points collocation points.
+        Values of k variables at the collocation points. If `with_start` is True, the value at the
+        start of the horizon precedes them.
     fractions : ndarray, shape (n,)
         Times as fractions of the horizon.
     with_start : bool
@@ -727,9 +697,9 @@ class Mesh(Summarised):
 
     @cached_property
     def first_node(self) -> NDArray[np.intp]:
-        """Index of the first node of each element, and index of the last node of the mesh.
+        """Indices of the nodes at the element boundaries, shape (n_elements + 1,).
 
-        These are the nodes at the element boundaries, shape (n_elements + 1,).
+        Entry k is the first node of element k. The last entry is the last node of the mesh.
         """
         return np.concatenate(([0], np.cumsum(self.degrees))).astype(np.intp)
 

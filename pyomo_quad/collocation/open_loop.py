@@ -1,11 +1,10 @@
 """Simulation of a vehicle in open loop, by compiled Runge-Kutta steps.
 
 The steps have order 8, with the coefficients and the error estimate of SciPy's `DOP853`. SciPy
-itself calls Python for each of the twelve stages of a step. Here all stages form one CasADi
-function. This is faster, especially for many short flights.
+calls Python for each of the twelve stages of a step. Here all stages form one CasADi function,
+which is faster, especially for many short flights.
 
-The module serves simulations during the search for a plan. The finished plan is verified with
-SciPy's own integrator.
+The module serves the search for a plan. The finished plan is verified with SciPy's own integrator.
 """
 
 from __future__ import annotations
@@ -83,7 +82,7 @@ class OpenLoopSteps:
         Raises
         ------
         SolveError
-            If 300 steps do not reach the next of the given times; rejected steps count, too.
+            If 300 steps, rejected steps included, do not reach the next of the given times.
         """
         jumps = self._dynamics.steps_between(float(times[0]), float(times[-1]))
         ends = np.union1d(times, jumps)
@@ -165,8 +164,8 @@ class OpenLoopSteps:
 def _step(rates: Any) -> Any:
     """Return one step of DOP853 as a CasADi function.
 
-    It maps joint state, inputs and controls at all stages, and duration to the new joint state and
-    its errors by the estimates of order 5 and 3.
+    Inputs: joint state, time-dependent inputs and controls at all stages, duration. Outputs: new
+    joint state, error estimates of order 5 and 3.
     """
     n_moment, n_joint, n_controls = (rates.numel_in(k) for k in range(3))
     joint, width = casadi.MX.sym("joint", n_joint), casadi.MX.sym("width")

@@ -131,20 +131,21 @@ class Problem(Summarised, Formulation):
         ----------
         mesh : Mesh, optional
             Mesh of the solve; only the initial mesh if a `tolerance` is given. Element boundaries
-            are added at conditions, fixed values and jumps of parameters. By default, the initial
-            mesh is that of the warm start, or `first_mesh` of `refinement`.
+            are added at constraints at single times, fixed values and jumps of parameters. By
+            default, the initial mesh is that of the warm start, or `first_mesh` of `refinement`.
         tolerance : float, optional
             Required relative error of the states; default 1e-6 if no mesh is given.
         parameters : mapping, optional
-            New values of mutable parameters, by component or full name; a function of time for a
-            parameter over time.
+            New values of mutable parameters, by component or full name. The value of a parameter
+            over time is a function of time.
         horizon : (float, float), optional
             Start and end of the horizon, in place of the ends of the continuous set.
         guess : mapping, optional
             Initial values by the name of a variable, such as ``rotors.omega[1]``: a function of
-            time, a constant, or samples at the times under the key "time". A `Trajectory` and the
-            DataFrame of `Solution.to_frame` are accepted, too. If an end of the horizon is a
-            variable, functions take the fraction of the horizon, and samples span the horizon.
+            time, a constant, or an array of samples. The key "time" gives the times of the samples.
+            A `Trajectory` and the DataFrame of `Solution.to_frame` are accepted, too. If an end of
+            the horizon is a variable, functions take the fraction of the horizon instead of the
+            time, and samples are stretched over the whole horizon.
         warm_start : Solution or WarmStart, optional
             Solution of the same model on any mesh; its trajectory and multipliers are the initial
             point.
@@ -157,14 +158,12 @@ class Problem(Summarised, Formulation):
             others are random points between the bounds, drawn with fixed seeds. The best optimum is
             kept. A global optimum is not guaranteed.
         progress : callable, optional
-            Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
-            returning False stops the solve.
+            Called at each iteration of Ipopt with an `Iteration`; returning False stops the solve.
 
         Returns
         -------
         Solution
-            The result. Its status shows whether the solve converged; a solve that fails to converge
-            raises no exception.
+            The status shows whether the solve converged; a failed solve raises no exception.
 
         Raises
         ------
@@ -345,15 +344,14 @@ class Problem(Summarised, Formulation):
             Whether to continue until the complementarity gap (the sum of multipliers times slacks)
             is negligible relative to the objective.
         change : float, optional
-            Expected change of the objective from its value at the warm start, in its unit. It
-            determines the initial barrier parameter. It is ignored without a warm start, or with
-            damping.
+            Expected change of the objective from its value at the warm start. Determines the
+            initial barrier parameter. Ignored if there is no warm start, or if `damping` is given.
         iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
             Allowed violation of the variables' bounds between the collocation points, relative to
-            max(1, abs(bound)). If it is finite and `start` is a warm start, constraints limit the
-            violation in elements where the warm start is near a bound.
+            max(1, abs(bound)). Constraints impose it in elements where a warm start is near a
+            bound. Infinite by default: no such constraints.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 
@@ -431,8 +429,8 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         parameters : mapping, optional
-            New values of mutable parameters, by component or full name; a function of time for a
-            parameter over time.
+            New values of mutable parameters, by component or full name. The value of a parameter
+            over time is a function of time.
         horizon : (float, float), optional
             Start and end of the horizon, in place of the ends of the continuous set.
         statics : ndarray, shape (n_statics,), optional
@@ -446,8 +444,8 @@ class Problem(Summarised, Formulation):
         Raises
         ------
         TranscriptionError
-            If an argument is invalid, or if the equations are not as many as the rates and the
-            algebraic variables that they determine.
+            If an argument is invalid, or if the number of equations differs from the number of
+            rates and determined variables.
         """
         declared = self.compiled.declared
         if statics is None:
@@ -517,22 +515,8 @@ def march(
 ) -> FloatArray:
     """Integrate an ODE by the classical Runge-Kutta method, to compute an initial guess.
 
-    Ten equal steps are taken between each two neighbouring times of `times`.
-
-    Parameters
-    ----------
-    rates : callable
-        rates(t, x, u) -> dx/dt; called with an empty control vector u.
-    times : ndarray, shape (n,)
-        Times of the returned states; the first is the initial time.
-    start : ndarray, shape (n_states,)
-        Initial state.
-
-    Returns
-    -------
-    ndarray, shape (n, n_states)
-        States, accurate enough for an initial guess. If the integration diverges, some of them are
-        infinite or NaN.
+    Ten equal steps are taken between neighbouring `times`. `rates` is called as rates(t, x, u) with
+    an empty control vector. If the integration diverges, some states are infinite or NaN.
     """
     none, states = np.zeros(0), [start]
     with np.errstate(all="ignore"):
@@ -552,9 +536,8 @@ def march(
 def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
-    With several horizons, there is one solution per horizon, and one for variables that belong to
-    no horizon. The values go to variables, to derivatives at the declared times, to
-    `pyomo.dae.Integral` components, and to imported suffixes.
+    With several horizons, there is one solution per horizon, and one for variables of no horizon.
+    Derivatives at declared times, integrals and suffixes are loaded, too.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

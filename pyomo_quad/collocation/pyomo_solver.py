@@ -117,40 +117,39 @@ class PyomoSolver:
         keepfiles : bool, optional
             If no `logfile` is given, write the lines to a temporary file and print the file's name.
         timelimit : float, optional
-            Wall-clock time limit [s] for all meshes together; it replaces the Ipopt option
-            `max_wall_time`.
+            Wall-clock time limit [s] for all meshes together. Without it, the Ipopt option
+            `max_wall_time` is this limit.
         warmstart : bool, optional
-            Start from trajectory and multipliers of this solver's last converged solve of this
-            model. By default, the solve starts from the values of the model's variables.
+            Start from trajectory and multipliers of this solver's last converged solve of the
+            model. By default, start from the values of the model's variables.
         options : dict, optional
             Ipopt options by name.
         load_solutions : bool, optional
-            Whether to load the solution's values, integrals included, into the model. The values
-            are also loaded after a failed solve.
+            Load the values of variables and integrals into the model, also after a failed solve.
         symbolic_solver_labels : bool, optional
             Ignored: messages always name the model's components.
         final_time : Var, optional
             Static variable (variable without time) that is the free end of the horizon, for a model
             with one continuous set.
         times : mapping, optional
-            Free times: member of the continuous set -> static variable. With {1.0: m.T1},
+            Static variables that are free times, by member of the continuous set. With {1.0: m.T1},
             conditions declared at 1.0 hold at the physical time m.T1, which the solve determines.
-            For several continuous sets: name of the set -> mapping of this kind.
+            For several continuous sets: such mappings, by the name of the set.
         **arguments
             Further arguments of `Problem.solve`, such as `tolerance`, `mesh` and `guess`.
 
         Returns
         -------
         SolverResults
-            Pyomo's usual result. Its additional attribute `solution_on_mesh` is a `Solution`, with
-            the trajectories and multipliers on the final mesh. For a model with several continuous
-            sets, it is a `JointSolution`.
+            Pyomo's usual result. Its attribute `solution_on_mesh` is a `Solution`, with
+            trajectories and multipliers on the final mesh; for several continuous sets, a
+            `JointSolution`.
 
         Raises
         ------
         TranscriptionError
-            If the model's declarations are incomplete or unsupported, if an argument is unknown, or
-            if the time limit is not positive.
+            If the model's declarations are incomplete or unsupported, an argument is unknown, or
+            the time limit is not positive.
         """
         del symbolic_solver_labels
         chosen = {**self.options, **(options or {})}

@@ -51,17 +51,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     """Return a warning if the Hamiltonian varies although nothing depends on time explicitly.
 
     The Hamiltonian is then constant along an optimum, except for jumps at interior conditions such
-    as waypoints. If mesh errors cannot explain the variation, the costates are wrong.
-
-    Parameters
-    ----------
-    solution : Solution
-        Converged solution; a model that depends on time explicitly gets no warning.
-
-    Returns
-    -------
-    tuple of str
-        Empty or one line.
+    as waypoints. The result is empty or has one line.
     """
     compiled = solution.problem.compiled
     if not compiled.declared.states or _reads_time(compiled):
@@ -76,6 +66,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     mean = float(weights @ held)
     start, end = solution.horizon
     size = abs(mean) + abs(solution.objective) / (end - start)
+    # If mesh errors cannot explain the variation, the costates are wrong.
     if spread <= _SUSPICIOUS * size or compiled.declared.objective.is_constant():
         return ()
     between = " between its conditions" if conditions else ""
@@ -139,14 +130,13 @@ class Outcome(Summarised):
     Attributes
     ----------
     status : Status
-        How the solve ended, for example converged or infeasible.
+        How the solve ended, for example converged.
     ipopt_code : int
         Ipopt's own return code of the last solve.
     message : str
         Reason why the solve ended, in one sentence.
     objective : float
-        Value of the objective as the Pyomo model declares it. Integrals are computed by Radau
-        quadrature at the collocation points.
+        Value of the objective as declared, with integrals by Radau quadrature.
     iterations : tuple of Iteration
         Ipopt's progress in the last solve.
     wall_s : float
@@ -160,11 +150,10 @@ class Outcome(Summarised):
     history : tuple of MeshRecord
         One record per mesh; empty without refinement.
     cold_start : ColdStart or None
-        Numbers of iterations of a solve from a guess (cold start). A solve from a warm start takes
-        them from the warm start.
+        Iterations of a solve from a guess. A solve from a warm start takes them from the warm
+        start.
     tried : tuple of str
-        Name and status of each solution strategy that was tried. A mesh on which the first one
-        succeeded has no entry.
+        Name and status of each solution strategy, if more than one was tried on a mesh.
     """
 
     status: Status
@@ -220,7 +209,7 @@ class Solution(Outcome):
     problem : Formulation
         Compiled problem that was solved.
     program : Transcription
-        The nonlinear program of the last mesh, with the parameter values of this solution.
+        Nonlinear program of the last mesh, with the parameter values of this solution.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     trajectory : Trajectory
@@ -228,14 +217,14 @@ class Solution(Outcome):
     multipliers : Multipliers
         Multipliers of the program's constraints and bounds, as Ipopt returns them.
     unknowns : ndarray, shape (n_unknowns,)
-        Unknowns of the program at the solution.
+        Unknowns of the program.
     bounds : Bounds
-        Bounds of the program's unknowns and constraints.
+        Bounds of the unknowns and constraints.
     scaling : Scaling
         Scaling factors of the program.
     restraint : Restraint or None
-        For each element, estimated cost of bounds between the collocation points; None if bounds
-        are imposed at the points only.
+        Increase of the objective by bounds that are imposed between the collocation points; None if
+        bounds are imposed at the points only.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """
@@ -329,8 +318,8 @@ class Solution(Outcome):
     def mesh_in_time(self) -> Mesh:
         """Mesh of the solution, with element boundaries as fractions of the physical duration.
 
-        If the solve determines times inside the horizon, the boundaries differ from those of
-        `mesh`. The values at the nodes are the same.
+        The boundaries differ from those of `mesh` if the solve determines times inside the horizon.
+        Values at the nodes belong to both meshes.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
@@ -414,11 +403,11 @@ class Solution(Outcome):
         Parameters
         ----------
         component : Var, DerivativeVar, Expression or str
-            A component of the model or its full name.
+            Component of the model, or its full name.
         t : float or array, optional
-            Physical times; omitted for a static variable (a variable without time) or an integral.
+            Physical times; omitted for an integral or a variable without time.
         index : optional
-            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
+            Index without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------
@@ -490,6 +479,8 @@ class Solution(Outcome):
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
         """Return a state's costate: the derivative of the optimal cost with respect to the state.
 
+        If the objective is maximised, the cost is the negative of the objective.
+
         Parameters
         ----------
         state : Var or str
@@ -497,13 +488,12 @@ class Solution(Outcome):
         t : float or array
             Physical times.
         index : optional
-            Index of the state without the time: i for ``x[i, t]``; omitted for ``x[t]``.
+            Index without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------
         float or ndarray
-            Costate at each time, in the shape of `t`. For an objective that is maximised, it refers
-            to the negative of the objective.
+            In the shape of `t`.
 
         Raises
         ------
@@ -609,7 +599,7 @@ class Solution(Outcome):
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, output states and algebraic variables as a table over time.
 
-        Neither the objective nor other equations depend on an output state.
+        For output states, see `output_states`.
 
         Parameters
         ----------
@@ -650,18 +640,8 @@ def solution_from(
 ) -> Solution:
     """Return the solution of a problem from Ipopt's result on the problem's nonlinear program.
 
-    Parameters
-    ----------
-    problem : Formulation
-        Compiled problem that was solved.
-    program : Transcription
-        Nonlinear program on the last mesh.
-    instance : Instance
-        Parameter values, horizon and fixed variables of the solve.
-    result : IpoptResult
-        Ipopt's result on the program: status, unknowns, multipliers and iterations.
-    bounds, scaling : Bounds, Scaling
-        Bounds and scaling factors with which the program was solved.
+    `instance` has the parameter values, the horizon and the fixed variables of the solve. `bounds`
+    and `scaling` are those with which the program was solved.
     """
     z = result.z
     return Solution(

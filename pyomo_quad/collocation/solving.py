@@ -1,8 +1,8 @@
 """Complete solve from a warm start or a guess, within limits of iterations and time.
 
-A solve from a warm start has a budget of iterations. If the budget is exceeded, the problem is
-solved from the guess instead. A solve that is stopped early returns the solution on the most
-accurate mesh solved so far.
+A solve from a warm start has a budget: the iterations that an earlier solve from the guess took, on
+the first mesh and on all meshes. If the budget is exceeded, the problem is solved from the guess
+instead. A solve that is stopped early returns the solution on the most accurate mesh.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether the most recent result ends the search, whatever `found` is.
+        """Return whether the most recent result ends the search; the argument is not used.
 
         The search goes on if the warm start used up its budget, or if the cold start after it
         failed.
@@ -112,34 +112,13 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start; if its budget of iterations is used up, solve from the guess.
+    """Solve from a warm start; if its budget is used up, solve from the guess.
 
-    The budget is the number of iterations that an earlier solve from the guess took: on the first
-    mesh, and on all meshes. If the new solve from the guess fails, the solve from the warm start is
-    continued without a budget.
-
-    Parameters
-    ----------
-    solve : callable
-        (start, progress) -> solution. Solves once from the starting point `start`, and calls
-        `progress` at each iteration.
-    start : Start
-        Warm start and guess. The warm start may contain the recorded iterations of the cold start.
-    tolerance : float or None
-        Tolerance of the mesh refinement. Recorded iterations for another tolerance are not used as
-        a budget.
-    progress : callable or None
-        Called at each iteration; returning False stops the solve.
-    is_known : bool, default True
-        Whether the recorded iterations may serve as a budget. False if this solve uses several
-        initial points.
-
-    Returns
-    -------
-    Solution or JointSolution
-        Result of the solve that was carried out last, converged or not.
+    There is a budget only if `is_known`, and if `tolerance` is that of the earlier solve. If the
+    solve from the guess fails, the warm start continues without a budget.
     """
-    # Several initial points take more iterations than the recorded one.
+    # `is_known` is False for several initial points, which take more iterations than the recorded
+    # one.
     demand, known = tolerance or 0.0, start.cold_start if is_known else None
     # A warm start is useful only if it is faster than a solve from the guess (cold start). The
     # iterations of the cold start are therefore its budget.
@@ -161,40 +140,8 @@ def carried_out(
 ) -> S:
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
-    The mesh is refined if the caller gave a tolerance or no mesh. If a refinement is interrupted or
-    does not converge, the result is its most accurate solution. The status of this solution says
-    how the refinement ended.
-
-    Parameters
-    ----------
-    attempt : callable
-        (start, progress, options, tolerance, refinement) -> solution. Solves once, and refines the
-        mesh if there is a tolerance.
-    start : Start
-        Warm start and guess.
-    tolerance : float or None
-        Required relative error of the states; default 1e-6 if the caller gave no mesh.
-    has_mesh : bool
-        Whether the caller gave a mesh.
-    options : SolverOptions or None
-        Settings of Ipopt, with the time limit.
-    refinement : RefinementOptions or None
-        Settings of the mesh refinement; None for the default settings.
-    progress : callable or None
-        Called at each iteration; returning False stops the solve.
-    is_known : bool, default True
-        Whether the iterations recorded in a warm start limit the solve from it (see
-        `within_budget`).
-
-    Returns
-    -------
-    Solution or JointSolution
-        Result of the solve, converged or not.
-
-    Raises
-    ------
-    TranscriptionError
-        If the tolerance is not above 0.
+    The mesh is refined to `tolerance`, or to 1e-6 if the caller gave neither a tolerance nor a
+    mesh. A tolerance not above 0 raises a TranscriptionError.
     """
     if tolerance is not None and not tolerance > 0.0:
         raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
@@ -224,7 +171,7 @@ def carried_out(
 def _finished_of(finished: list[S], ended: S) -> S:
     """Return the last solution `ended` of a refinement, or the most accurate one if it was stopped.
 
-    The most accurate one is chosen from `finished`, the converged solutions on its meshes.
+    `finished` has the converged solutions on the meshes of the refinement.
     """
     # Solutions without all conditions (constraints at single times, presumed redundant) do not
     # count.

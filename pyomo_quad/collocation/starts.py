@@ -56,13 +56,8 @@ class ColdStart:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ColdStart | None:
         """Read the record from untrusted arrays by name, for example from a file, and check it.
 
-        The record is the array named "cold_start", as the property `array` returns it. The result
-        is None if the mapping has no array of this name.
-
-        Raises
-        ------
-        TranscriptionError
-            If the array "cold_start" does not hold three finite real numbers.
+        The result is None without an array "cold_start". If this array does not hold three finite
+        real numbers, a TranscriptionError is raised.
         """
         if "cold_start" not in arrays:
             return None
@@ -74,8 +69,8 @@ class ColdStart:
 class WarmStart:
     """Trajectory and multipliers of a solution, stored without the problem that was solved.
 
-    A later solve of the same equations, on any mesh, can start from this trajectory and these
-    multipliers. The arrays become read-only.
+    A later solve of the same equations can start from them on any mesh. The arrays become
+    read-only.
 
     Attributes
     ----------
@@ -84,13 +79,12 @@ class WarmStart:
     trajectory : Trajectory
         States, algebraic variables and static variables.
     lower, upper : Trajectory
-        Multipliers of the lower and upper bounds of the variables in `trajectory`, arranged like
-        these variables.
+        Multipliers of the bounds of the variables in `trajectory`, arranged like these variables.
     equations : ndarray, shape (n_points, n_equations)
         Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
         Multipliers of the constraints at single times, such as an end condition, and of the
-        defining equations of integrals.
+        equations that define integrals.
     cold_start : ColdStart, optional
         Iterations of the solve without a warm start, if known.
     """
@@ -250,16 +244,8 @@ def warm_start_of(
 ) -> WarmStart:
     """Return a warm start from the unknowns and multipliers of a nonlinear program.
 
-    Parameters
-    ----------
-    program : Transcription
-        The nonlinear program on its mesh.
-    z : ndarray, shape (n_unknowns,)
-        Unknowns of the program.
-    multipliers : Multipliers
-        Multipliers of the program's bounds and constraints.
-    cold_start : ColdStart or None
-        Iterations of the solve without a warm start.
+    `z` are the unknowns, shape (n_unknowns,). `cold_start` has the iterations of the solve without
+    a warm start, if they are known.
     """
     first = program.first_condition_row
     return WarmStart(
@@ -276,29 +262,10 @@ def warm_start_of(
 
 
 def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
-    """Interpolate trajectory and multipliers of a warm start to the mesh of a nonlinear program.
+    """Interpolate a warm start to the mesh of a program; return unknowns and multipliers.
 
-    The fractions of the horizon are kept: a value at half of the warm start's horizon becomes a
-    value at half of the program's horizon.
-
-    Parameters
-    ----------
-    start : WarmStart
-        Trajectory and multipliers of another solution of the same model, on any mesh.
-    program : Transcription
-        Nonlinear program on its own mesh.
-
-    Returns
-    -------
-    ndarray, shape (n_unknowns,)
-        Unknowns of the program.
-    Multipliers
-        Multipliers of the program's bounds and constraints.
-
-    Raises
-    ------
-    TranscriptionError
-        If the warm start belongs to another model.
+    The fractions of the horizon are kept: half of one horizon becomes half of the other. If the
+    warm start belongs to another model, a TranscriptionError is raised.
     """
     if not start.fits(program.compiled):
         raise TranscriptionError(
@@ -322,22 +289,20 @@ class Start:
     Attributes
     ----------
     warm : WarmStart or tuple of WarmStart, optional
-        Warm start from another solution. For several horizons: one per horizon, and one for the
-        constraints that couple them.
+        For several horizons, one per horizon and one for the coupling constraints.
     guess : mapping, Trajectory or list, optional
-        Initial values where there is no warm start; by default the values of the model's variables.
-        For several horizons: a list with one guess per horizon, and a last guess for all other
-        variables.
+        For several horizons, one per horizon and one for all other variables.
     seed : int
-        If above 0, the initial point is random between the bounds, drawn with this seed.
+        Seed of a random initial point; 0 for none.
     is_elastic : bool
-        Whether the solve starts from the optimum of the elastic program, in which equations over
-        time may be violated at a penalty.
+        Whether to start from the optimum of the elastic program.
     """
 
     warm: Any = None
     guess: Any = None
+    # The point lies between the bounds of the variables.
     seed: int = 0
+    # In the elastic program, equations over time may be violated at a penalty.
     is_elastic: bool = False
 
     @classmethod
@@ -359,7 +324,7 @@ class Start:
     def cold_start(self) -> ColdStart | None:
         """Numbers of iterations of an earlier solve from the guess, or None if they are not known.
 
-        The numbers come from the warm start, with several horizons from the first one.
+        The warm start contains them. With several horizons, the first warm start is used.
         """
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start

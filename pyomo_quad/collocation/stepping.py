@@ -58,7 +58,8 @@ class SteppedLoops:
     n_command, n_own : int
         Number of components of the command, and number of the law's own states.
     varied : sequence of str
-        Full names of the parameters, constant or over time, that differ between the vehicles.
+        Full names of the parameters that differ between the vehicles. They may be constant or vary
+        with time.
     """
 
     def __init__(
@@ -142,8 +143,8 @@ class SteppedLoops:
     ) -> list[FloatArray]:
         """Return the inputs of one Runge-Kutta step that are the same for all vehicles.
 
-        They are the length of the step [s], then time-dependent inputs and then commands at its
-        start, middle and end.
+        They are the length of the step [s], three sets of time-dependent inputs, and three
+        commands. The three are for the start, the middle and the end of the step.
         """
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.

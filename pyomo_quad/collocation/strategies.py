@@ -1,9 +1,9 @@
 """Table of the solution strategies that are tried in order, and the loop that tries them.
 
-A whole solve (scope `WHOLE`) starts from a warm start or from the guess. Its first mesh is solved
-by the strategies of the scope `FIRST`, each further mesh by those of the scope `MESH`. The strategy
-of the scope `RESTART` starts the refinement again from better controls, if Pontryagin's principle
-shows that there are any.
+The strategies of the scope `WHOLE` start a whole solve from a warm start or from the guess. Its
+first mesh is solved by the strategies of the scope `FIRST`, each further mesh by those of the scope
+`MESH`. The scope `RESTART` starts the refinement again if Pontryagin's principle shows better
+controls.
 """
 
 from __future__ import annotations
@@ -103,32 +103,28 @@ class First(Enum):
 class Strategy:
     """Strategy for a solve: name, conditions, initial point, settings and budget of iterations.
 
-    The instances are the rows of the table `STRATEGIES`.
-
     Attributes
     ----------
     scope : Scope
-        Part of a solve in which the strategy is tried.
+        Part of a solve.
     name : str
-        Name in the record of the strategies that were tried.
+        Name in the record of attempts.
     when : set of Fact
-        Conditions that must all be true before the strategy is tried.
+        Conditions that must all be true.
     first : First
         Kind of initial point.
     finer : int
-        Factor by which the number of elements of the first mesh is multiplied.
+        Factor on the number of elements of the first mesh.
     barrier : str, optional
-        Value of Ipopt's option `mu_strategy`: "monotone" or "adaptive".
+        Ipopt's option `mu_strategy`: "monotone" or "adaptive".
     is_scaled : bool
         Whether Ipopt solves the scaled program.
     is_firm : bool
-        Whether the penalty on changes of the controls since the previous mesh (damping) is
-        increased.
+        Whether the damping of the controls is increased.
     iterations : float or None
-        Limit of iterations of the solve on each mesh; infinite for no limit. None means that the
-        record in the warm start gives the limits.
+        Limit of iterations on each mesh; None for the limits recorded in the warm start.
     times : int
-        How often the strategy may be tried. Only a restart may be tried more than once.
+        How often the strategy may be tried.
     """
 
     scope: Scope
@@ -144,7 +140,8 @@ class Strategy:
     # from the guess, on the first mesh and on all meshes. Without a record for the same tolerance,
     # there is no limit.
     iterations: float | None = inf
-    # `first_success` does not read this number; the refinement itself counts the restarts.
+    # Only a restart may be tried more than once. `first_success` does not read this number; the
+    # refinement itself counts the restarts.
     times: int = 1
 
     def settings(self, options: SolverOptions) -> SolverOptions:
@@ -255,23 +252,11 @@ class Search(ABC, Generic[S]):
 
 
 def first_success(scope: Scope, search: Search[S]) -> S:
-    """Try the solution strategies of this module's table in order, until a result is final.
+    """Try the solution strategies of the table `STRATEGIES` in order, until a result is final.
 
-    The table `STRATEGIES` lists the strategies. A strategy is tried only if all its conditions are
-    true.
-
-    Parameters
-    ----------
-    scope : Scope
-        Part of a solve, such as the first mesh; only the strategies for this part are tried.
-    search : Search
-        Object that carries the strategies out, and decides which results are final.
-
-    Returns
-    -------
-    Solution or JointSolution
-        The final result or, if no result is final, the result of the method `failure`. If several
-        strategies were tried, its attribute `tried` records them.
+    Only strategies of the given scope whose conditions are all true are tried. If no result is
+    final, `Search.failure` gives the result. The result's attribute `tried` records several
+    attempts.
     """
     tried: list[str] = []
     last: Any = None

@@ -31,16 +31,13 @@ if TYPE_CHECKING:
 class Sensitivities:
     """Derivatives of the declared objective with respect to constraints, bounds or states.
 
-    The derivative is with respect to the constant side of a constraint, the value of a bound, or a
-    state at one time (costate).
-
     Attributes
     ----------
     over_time : dict
-        Derivatives with respect to components over time: name -> function of a time in the model's
-        continuous set. Those for constraints and bounds are per unit of time.
+        Name of a component over time -> function of a time in the model's continuous set. For
+        constraints and bounds, its values are per unit of time.
     once : dict
-        Derivatives with respect to components that do not depend on time: name -> derivative.
+        Name of a component that does not depend on time -> derivative.
     """
 
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
@@ -64,16 +61,12 @@ class Sensitivities:
 def load_suffixes(*solutions: Solution) -> None:
     """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
 
-    For constraints and bounds over time, the derivatives are per unit of time. The suffixes are not
-    filled if a solution comes from a pickled problem, which has lost its model.
-
-    Parameters
-    ----------
-    *solutions : Solution
-        A single solution or, for several horizons, one per horizon and one for the constraints that
-        couple them.
+    For constraints and bounds over time, the derivatives are per unit of time. Several horizons
+    need one solution each, and one for the coupling constraints. For a pickled problem, nothing is
+    filled.
     """
     source = solutions[0].problem.source
+    # A pickled problem has lost its model.
     if not isinstance(source, LiveModel):
         return
     wanted = dict(active_import_suffix_generator(source.model))

@@ -61,19 +61,8 @@ def violation_of(
 ) -> LeastViolation | None:
     """Find the point of least constraint violation near the last iterate of a failed solve.
 
-    Parameters
-    ----------
-    failed : Solution
-        Result of the failed solve.
-    options : SolverOptions
-        Settings of Ipopt for the minimisation of the violation.
-    progress : callable or None
-        Called at each iteration of the minimisation; returning False stops it.
-
-    Returns
-    -------
-    LeastViolation or None
-        The point; None if the last iterate or its constraints are not finite.
+    `options` and `progress` are for the minimisation by Ipopt. The result is None if the last
+    iterate or its constraints are not finite.
     """
     z = failed.unknowns
     if not np.all(np.isfinite(z)) or not np.all(np.isfinite(failed.program.constraints(z))):
@@ -86,19 +75,9 @@ def violation_of(
 def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | None) -> Solution:
     """Return a failed solution with a verdict on the feasibility of its problem.
 
-    Ipopt computes the point of least constraint violation near the last iterate. The violation at
-    this point decides whether the status becomes infeasible, and which equations the message names.
-    If the last iterate is not finite, `failed` is returned unchanged.
-
-    Parameters
-    ----------
-    failed : Solution
-        Result of the failed solve.
-    options : SolverOptions
-        Settings of Ipopt for this computation.
-    progress : callable or None
-        Called at each iteration of this computation. If it returns False, the computation stops,
-        and the status becomes interrupted.
+    The verdict is that of `judged` at the point of least violation. If `progress` returns False,
+    the status becomes interrupted. If the last iterate is not finite, `failed` is returned
+    unchanged.
     """
     found = violation_of(failed, options, progress)
     if found is not None and found.result.status is Status.INTERRUPTED:
@@ -113,20 +92,8 @@ _NAMED = 3
 def judged(failed: Solution, found: LeastViolation) -> Solution:
     """Return a failed solution, moved to the point of least violation, with a verdict.
 
-    The verdict states whether the problem is infeasible near that point.
-
-    Parameters
-    ----------
-    failed : Solution
-        Solution of the failed solve.
-    found : LeastViolation
-        Point at which the sum of constraint violations is least.
-
-    Returns
-    -------
-    Solution
-        Solution at that point. If the least violation is positive, its status is "infeasible". If
-        it is zero, a status "infeasible" of `failed` becomes "not converged".
+    If the least violation is positive, the status becomes infeasible, and the message names the
+    violated equations. If it is zero, a status infeasible becomes not converged.
     """
     told = replace(
         failed,
@@ -145,19 +112,10 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
 
 
 def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
-    """Return the name of a violated equation, and a line for a message.
+    """Return the name of a violated equation, and a line with its name and violation.
 
-    The line gives the name and the violation. For an equation over time, it adds the time, the
-    element and the collocation point.
-
-    Parameters
-    ----------
-    failed : Solution
-        Result of the failed solve.
-    row : int
-        Index of the equation among the constraints of the nonlinear program.
-    slack : float
-        Violation of the scaled equation. The line gives the violation in the equation's own unit.
+    `slack` is the violation of the scaled constraint `row`; the line gives it in the equation's
+    unit. For an equation over time, the line adds time, element and collocation point.
     """
     place = row_place(failed.program, row)
     missed, unit = slack / failed.scaling.rows[row], failed.problem.source.unit(place.name)
@@ -243,11 +201,8 @@ def outside_tables(solution: Solution) -> str:
 def doubted(solution: S) -> S:
     """Return a solution whose status and message record doubts about its optimality or validity.
 
-    The solution is in doubt in each of these cases:
-
-    - The problem has no objective.
-    - Multipliers diverge, and the Hamiltonian is not constant although it should be.
-    - An interpolation table of the model is evaluated outside the range of its data.
+    The doubts are a missing objective, a table evaluated outside its data, and diverging
+    multipliers. The last count only if a Hamiltonian varies that should be constant.
     """
     return _within_tables(_undoubted(_without_objective(solution)))
 

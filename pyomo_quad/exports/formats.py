@@ -56,28 +56,10 @@ _WORLD, _BODY = "map", "base_link"
 
 
 def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
-    """Make the stream of setpoints for PX4's offboard mode.
+    """Make the stream of setpoints for PX4's offboard mode: one MAVLink message per row.
 
-    Each row is a MAVLink message SET_POSITION_TARGET_LOCAL_NED: x north, y east, z down, yaw
-    clockwise from north.
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    rate_hz : float
-        Setpoints per second.
-
-    Returns
-    -------
-    DataFrame
-        Fields of the message, one row for each setpoint, in SI units except for the time in ms.
-        Numbers have 32 bits.
-
-    Raises
-    ------
-    ScenarioError
-        If the plan lacks a state, or the rate or duration is outside PX4's limits.
+    Axes are north, east, down; yaw is clockwise from north. Units are SI; the time is in ms. A
+    missing state or a violated limit of PX4 raises a ScenarioError.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "PX4's offboard mode")
     if not SLOWEST_STREAM_HZ < rate_hz <= FASTEST_STREAM_HZ:
@@ -92,6 +74,7 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
         )
     milliseconds = np.unique(np.round(motion.samples(rate_hz) * _MS_PER_S).astype(np.int64))
     t = milliseconds / _MS_PER_S
+    # Fields of the message SET_POSITION_TARGET_LOCAL_NED.
     columns: dict[str, object] = {
         "time_boot_ms": milliseconds,
         "coordinate_frame": _LOCAL_NED,
@@ -111,15 +94,8 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
 def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, float]:
     """Return the largest deviation of a stream of setpoints from the plan: position [m], yaw [rad].
 
-    Between the setpoints, the stream's position is a cubic spline (see `_between`). The yaw is
-    compared at the setpoints only.
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    stream : DataFrame
-        Setpoints from `offboard`.
+    `stream` comes from `offboard`. Between the setpoints, its position is a cubic spline (see
+    `_between`). The yaw is compared at the setpoints only.
     """
     t = stream["time_boot_ms"].to_numpy() / _MS_PER_S
     place = _north_east_down(stream[["x", "y", "z"]].to_numpy(dtype=float))
@@ -129,29 +105,10 @@ def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, flo
 
 
 def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
-    """Write a plan as a ROS 2 bag with a single trajectory message.
+    """Write a plan as a ROS 2 bag with a single trajectory message; return its number of points.
 
-    World axes are x east, y north, z up; body axes x forward, y left, z up (REP 103). Linear
-    velocities and accelerations are in world axes, angular velocities in body axes.
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    rate_hz : float
-        Trajectory points per second.
-    folder : Path
-        Folder of the bag, which must not exist.
-
-    Returns
-    -------
-    int
-        Number of trajectory points.
-
-    Raises
-    ------
-    ScenarioError
-        If the plan lacks a state, the rate is not allowed, or the package rosbags is not installed.
+    The axes follow REP 103. `folder` must not exist. A ScenarioError is raised if a state or
+    rosbags is missing, or the rate is not allowed.
     """
     motion.require(
         (*POSITION_STATES, *VELOCITY_STATES, *ATTITUDE_STATES, *RATE_STATES), "a ROS 2 trajectory"
@@ -185,6 +142,8 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
     vector, twist, quaternion, transform = (make[f"geometry_msgs/msg/{name}"] for name in names)
     duration = make["builtin_interfaces/msg/Duration"]
     point = make["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]
+    # World axes are x east, y north, z up; body axes x forward, y left, z up (REP 103). Linear
+    # velocities and accelerations are in world axes, angular ones in body axes.
     columns = (
         *(motion.position(t), motion.quaternions(t), motion.velocity(t)),
         *(motion.values(t, RATE_STATES), motion.acceleration(t), motion.slopes(t, RATE_STATES)),
@@ -207,22 +166,15 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
     """Return the largest distance [m] between a plan and a cubic spline through samples of it.
 
-    The spline has the plan's position and velocity at each sample. A ROS 2 trajectory consists of
-    such samples; the distance serves as its deviation from the plan.
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    rate_hz : float
-        Samples per second.
+    The spline has the plan's position and velocity at each sample. The distance is the deviation of
+    a ROS 2 trajectory from its plan.
     """
     t = motion.samples(rate_hz)
     return _between(motion, t, motion.position(t), motion.velocity(t))
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the largest distance [m] between a plan and a cubic spline through its setpoints.
+    """Return the largest distance [m] between a plan and a cubic spline through setpoints.
 
     The spline has the positions [m] and velocities [m/s] of the setpoints, shape (n, 3), at times
     t.
@@ -244,17 +196,10 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 
 
 def origin_of(text: str) -> GeodeticOrigin:
-    """Convert a text of latitude, longitude [deg] and altitude [m] to a position on earth.
+    """Convert a text such as "47.3977,8.5456,488" to latitude, longitude [deg] and altitude [m].
 
-    Parameters
-    ----------
-    text : str
-        Value of the command-line option ``--origin``, such as "47.3977,8.5456,488".
-
-    Raises
-    ------
-    ScenarioError
-        If the text is not three numbers, or not a position on the globe.
+    The text is the value of the command-line option ``--origin``. If it is not three numbers or not
+    a position on the globe, a ScenarioError is raised.
     """
     try:
         given = dict(zip(GLOBE, map(number_in_text, text.split(",")), strict=True))
@@ -499,8 +444,8 @@ def _write_mission(
 ) -> _Written:
     """Write a plan as a ground station's mission: waypoints joined by straight legs.
 
-    The result has number and name of the parts, deviation [m], and deviation of the heading.
-    `spelled` converts a QGroundControl mission to the text of the file.
+    `spelled` converts a QGroundControl mission to the text of the file. For the items of the
+    result, see `_Writer`.
     """
     legs = thin(motion, error_m)
     # An export may replace a file only if the file contains `mark`.

@@ -131,7 +131,7 @@ def read_mission(
 
     The flight begins with hovering at the altitude of the take-off, and ends with hovering above
     the landing place. Its duration is free. The scenario has flat ground, no wind (`calm`) and the
-    power model `momentum`.
+    power model `momentum`. Altitudes above the terrain count as heights above the home position.
 
     Parameters
     ----------
@@ -148,14 +148,13 @@ def read_mission(
     Returns
     -------
     ImportedMission
-        The scenario, its text, and the contents of the file that it cannot represent. Altitudes
-        above the terrain count as heights above the home position.
+        The scenario, its text, and the contents of the file that it cannot represent.
 
     Raises
     ------
     ScenarioError
-        If the file is no mission with at least two places. Also for several inclusion fences, a
-        repetition (`DO_JUMP`), or an invalid value.
+        If the file is no mission with at least two places. The error is also raised if the file has
+        several inclusion fences, a repetition (`DO_JUMP`) or an invalid value.
 
     Examples
     --------
@@ -279,7 +278,7 @@ def _plan_file(document: object, source: str) -> _File:
 
 
 def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
-    """Yield the commands of a QGroundControl mission, without waypoints that only shape the path.
+    """Yield the commands of a QGroundControl mission, except waypoints marked with `SHAPES_PATH`.
 
     A complex item, such as a survey, is replaced by its commands.
     """

@@ -3,8 +3,8 @@
 Waypoints are added to those of the scenario so that straight legs follow the curved path of the
 plan. QGroundControl's file marks the added waypoints; `exports.ground_missions` leaves them out.
 
-The files are QGroundControl's plan file (developer guide, Plan File Format: version 1, with
-missions and fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
+Formats: QGroundControl's plan file (developer guide, Plan File Format: version 1, missions and
+fences version 2), and MAVLink's text format QGC WPL 110 of Mission Planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,8 +48,8 @@ class Command(IntEnum):
 class Frame(IntEnum):
     """Numbers of MAVLink's coordinate frames.
 
-    A frame defines the level from which the altitude in a command counts. `MISSION` is the frame of
-    a command without a position.
+    The frame of a command states from which level its altitude counts. `MISSION` is the frame of a
+    command without a position.
     """
 
     GLOBAL = 0
@@ -115,22 +115,10 @@ class Legs:
 
 
 def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Approximate a plan by few straight legs, within a given distance of the plan at all times.
+    """Approximate a plan by few straight legs, within `path_error_m` of the plan at all times.
 
-    The distance is that of the positions on plan and leg at the same time. Source: top-down
-    time-ratio algorithm of Meratnia and de By (2004).
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    path_error_m : float
-        Largest permitted distance from the plan [m].
-
-    Raises
-    ------
-    ScenarioError
-        If the plan lacks a position.
+    Plan and legs are compared at equal times. Source: top-down time-ratio algorithm of Meratnia and
+    de By (2004). If the plan lacks a position, a ScenarioError is raised.
     """
     motion.require(POSITION_STATES, "a QGroundControl mission")
     passed = _passing_times(motion)
@@ -166,25 +154,8 @@ def mission(
 ) -> dict[str, Any]:
     """Convert a plan to the content of a QGroundControl plan file, as nested mappings.
 
-    The file has the fence and the rally points of the scenario. Keep-out zones with a bottom or a
-    top are left out.
-
-    Parameters
-    ----------
-    legs : Legs
-        Straight legs from `thin`.
-    origin : GeodeticOrigin
-        Position of the plan's origin on earth, and home position in the file. Heights are relative
-        to its altitude.
-    motion : Motion
-        The plan's motion.
-    path_error_m : float
-        Permitted distance from the plan [m] with which `thin` made the legs, for the error message.
-
-    Raises
-    ------
-    ScenarioError
-        If the file has more mission items than an autopilot can store.
+    `origin` becomes the home position; heights are relative to it. If there are more mission items
+    than PX4 can store, a ScenarioError is raised, which names `path_error_m`.
     """
     items = _items(legs, origin, _releases(legs, motion.mission))
     if len(items) > MOST_ITEMS:

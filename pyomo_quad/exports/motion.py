@@ -46,8 +46,7 @@ class ProvenPlan:
     mission : Scenario
         The mission, with the plan's duration and passing times of waypoints.
     trajectories : Trajectories
-        States and controls of the plan. For a plan from a report, each quantity is listed both as a
-        state and as a control.
+        States and controls. For a plan from a report, each quantity is listed as both.
     is_paper_plan : bool
         Whether the plan has no margins from its limits, because the scenario does not state
         `mission.risk`. A controller that corrects disturbances may then break a limit.
@@ -61,23 +60,9 @@ class ProvenPlan:
 def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPlan:
     """Read a saved plan or a report folder, and verify the plan again by simulation.
 
-    Parameters
-    ----------
-    path : str or Path
-        File of a saved plan, or report folder of a run.
-    is_code_allowed : bool, optional
-        Whether to run the Python model builder that the scenario names, if it names one.
-
-    Returns
-    -------
-    ProvenPlan
-        The plan's trajectories and mission.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no plan, if it is damaged, or if the new simulation does not confirm it. Also if
-        its status is neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
+    `is_code_allowed` permits running the Python model builder of the scenario. A ScenarioError is
+    raised if the plan is missing, damaged, not confirmed, or neither `PlanStatus.VERIFIED` nor
+    `PlanStatus.USABLE`.
     """
     place = Path(path)
     if place.is_dir():
@@ -347,7 +332,7 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    Every quantity is listed as a state and as a control. Energy and Hamiltonian are zero.
+    Every quantity is listed both as a state and as a control. Energy and Hamiltonian are zero.
     """
     times = frame[TIME].to_numpy(dtype=float)
     # The table does not say which quantities are states and which are controls. The equations of
@@ -448,38 +433,18 @@ class PolynomialTrajectory:
 def fit_pieces(
     motion: Motion, path_error_m: float, most_pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Approximate a plan by a spline of polynomial pieces of equal duration.
+    """Approximate a plan by polynomial pieces of equal duration: durations [s] and coefficients.
 
-    The spline has degree 7 and continuous derivatives up to the sixth. At both ends of the flight,
-    it has the plan's velocity, acceleration, jerk, yaw rate and yaw acceleration.
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    path_error_m : float
-        Largest permitted deviation of position [m] and yaw [rad].
-    most_pieces : int
-        Largest number of pieces.
-
-    Returns
-    -------
-    durations : ndarray, shape (n_pieces,)
-        Durations of the pieces [s].
-    coefficients : ndarray, shape (n_pieces, 4, 8)
-        Coefficients of x, y, z [m] and yaw [rad], the constant first. Polynomials of the time since
-        the start of the piece [s].
-
-    Raises
-    ------
-    ScenarioError
-        If the plan lacks position, velocity or yaw, or the largest number of pieces does not
-        suffice.
+    For the arrays, see `PolynomialTrajectory`. The deviation of position [m] and yaw [rad] is at
+    most `path_error_m`. If a state is missing or `most_pieces` do not suffice, a ScenarioError is
+    raised.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "a polynomial")
     found = 0.0
     for pieces in _counts(most_pieces):
-        # At both ends, the third derivative of the yaw is zero instead of the plan's.
+        # The spline has degree 7 and continuous derivatives up to the sixth. At both ends, it has
+        # the plan's velocity, acceleration, jerk, yaw rate and yaw acceleration. The third
+        # derivative of the yaw is zero there instead of the plan's.
         durations, coefficients = _pieces(motion, pieces)
         found, yaw = piece_deviation(motion, durations, coefficients)
         if max(found, yaw) <= path_error_m:
@@ -496,20 +461,8 @@ def piece_deviation(
 ) -> tuple[float, float]:
     """Return the largest deviation of polynomial pieces from a plan: position [m] and yaw [rad].
 
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    durations : ndarray, shape (n_pieces,)
-        Durations of the pieces [s].
-    coefficients : ndarray, shape (n_pieces, 4, n_coefficients)
-        Coefficients of x, y, z [m] and yaw [rad], the constant first. Polynomials of the time since
-        the start of the piece [s].
-
-    Returns
-    -------
-    position, yaw : float
-        Largest distance [m] and largest difference of the yaw angles [rad], at equal times.
+    The deviation is computed at equal times. For `durations` and `coefficients`, see
+    `PolynomialTrajectory`.
     """
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))

@@ -64,27 +64,10 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
-    """Return the initial state of a simulated flight: the plan's state or, without a plan, hover.
+    """Return the initial state of a flight: the plan's or, without a plan, hover at the start.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    dynamics : Dynamics
-        Simulated vehicle, which defines the states and their order.
-    plan : Plan, optional
-        Plan whose initial state is used; without it the vehicle hovers at the start of the mission.
-
-    Returns
-    -------
-    ndarray, shape (n_states,)
-        Initial state, in the order of `dynamics.state_names`.
-
-    Raises
-    ------
-    ScenarioError
-        If the initial value of a state is unknown, for example of a user's own model without a
-        plan.
+    The order is that of `dynamics.state_names`. If the initial value of a state is unknown, as for
+    a user's own model without a plan, a ScenarioError is raised.
     """
     if plan is not None:
         held = plan.trajectories
@@ -104,7 +87,7 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states of the filters that model turbulence: state name -> value.
 
-    They are those of the Pyomo model; none if the equations include no turbulence.
+    The Pyomo model gives the values. The result is empty if the equations include no turbulence.
     """
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
@@ -113,23 +96,10 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the initial states that the mission defines: hover at its start, and battery states.
+    """Return the initial states that the mission defines: state name -> value.
 
-    In hover, velocity, body rates, roll and pitch are zero. The yaw angle is the heading at the
-    start of the mission. Other states of a user's own model are left out.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission and its vehicle.
-    dynamics : Dynamics
-        Simulated vehicle, which defines the states. Battery states are included if the vehicle
-        model has them.
-
-    Returns
-    -------
-    dict
-        State name -> value in the state's unit.
+    In hover, velocity, body rates, roll and pitch are zero; the yaw is the heading at the start.
+    Battery states are included. Other states of a user's own model are left out.
     """
     known = _hovering(scenario, scenario.mission.start, dynamics)
     if CHARGE_STATE in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
@@ -141,20 +111,8 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the values that the mission requires of the states at its end: hover at the goal.
 
-    The rotor speeds are those of hover after the release of all payloads.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission and its vehicle.
-    dynamics : Dynamics
-        Simulated vehicle, which defines the states.
-
-    Returns
-    -------
-    dict
-        State name -> value in the state's unit. The mission does not require values of battery
-        states.
+    The result maps state names to values, without battery states. The rotor speeds are those of
+    hover after the release of all payloads.
     """
     lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
     return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
@@ -199,18 +157,17 @@ RATE_HZ = 100.0
 class TumblingGuard:
     """Guard that stops the simulation of a tumbling vehicle.
 
-    A tumbling vehicle needs far more evaluations of the differential equations than a controlled
-    vehicle. The guard counts the evaluations, and raises an error above a limit.
+    A tumbling vehicle needs far more evaluations of the equations than a controlled one. Too many
+    evaluations raise an error.
 
     Parameters
     ----------
     flight : str
         Name of the flight, for the error message.
     duration : float
-        Duration of the flight [s]. The limit rises with the duration.
+        Duration of the flight [s]. The limit rises with it.
     jumps : int, optional
-        Number of restarts of the integrator, which follow jumps of an input such as the noise of
-        the turbulence. The limit rises with this number.
+        Number of jumps of an input, such as noise. Each of them raises the limit.
     """
 
     def __init__(self, flight: str, duration: float, jumps: int = 0) -> None:
@@ -222,17 +179,8 @@ class TumblingGuard:
     def evaluated(self, t: float) -> None:
         """Count an evaluation of the differential equations; raise an error if there are too many.
 
-        Parameters
-        ----------
-        t : float
-            Time in flight of the evaluation [s], for the error message.
-
-        Raises
-        ------
-        SolveError
-            If the number of evaluations exceeds the limit, which means that the vehicle tumbles.
-        TimeIsUpError
-            If the limit on processor time, `solver.time_limit` in the scenario, has passed.
+        `t` is the time in flight [s], for the message. A SolveError means that the vehicle tumbles.
+        A TimeIsUpError is raised after the limit `solver.time_limit`.
         """
         keep_time()
         self.evaluations += 1
@@ -288,43 +236,11 @@ def fly(
 ) -> ClosedLoopFlight:
     """Simulate a vehicle whose adaptive controller follows a reference path.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Simulated vehicle in its wind.
-    controller : AdaptiveController
-        Control law and its gains.
-    reference : callable
-        Takes a time [s] and returns the `Setpoint` to follow: position and yaw with their first two
-        derivatives.
-    initial_state : ndarray, shape (n_states,)
-        State of the vehicle at the first time.
-    times : ndarray, shape (n,)
-        Increasing times of the returned samples [s].
-    integrator : Integrator, optional
-        SciPy's integration method.
-    tolerance : float, optional
-        Relative and absolute tolerance of the integrator.
-    last : ndarray, shape (22,), optional
-        States of the controller at the end of the previous part of the flight, in the order of
-        `CONTROLLER_STATES`. None if there is no previous part.
-    system : ClosedLoop, optional
-        Result of `closed_loop` for this vehicle and controller; by default it is compiled, which
-        takes about 0.1 s.
-
-    Returns
-    -------
-    ClosedLoopFlight
-        States of vehicle and controller, controls and energy at `times`.
-
-    Raises
-    ------
-    SolveError
-        If the integration fails, or if the vehicle tumbles: the integrator then needs too many
-        evaluations.
-    TimeIsUpError
-        If the time limit of an enclosing `Deadline` has passed.
+    `last` has the controller's states after the previous part of the flight. `system` is the result
+    of `closed_loop`. If the integration fails, the vehicle tumbles or the time is up, a SolveError
+    is raised.
     """
+    # Compiling takes about 0.1 s.
     if system is None:
         system = closed_loop(dynamics, controller)
     span = float(times[0]), float(times[-1])
@@ -350,20 +266,8 @@ def fly(
 def closed_loop(dynamics: Dynamics, controller: AdaptiveController) -> ClosedLoop:
     """Return the compiled closed loop of a vehicle and its adaptive controller.
 
-    Its differential equations are for the joint states of vehicle and controller. Controllers that
-    differ only in the initial values of their states have the same closed loop.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Simulated vehicle in its wind.
-    controller : AdaptiveController
-        Control law and its gains.
-
-    Examples
-    --------
-    >>> closed_loop(dynamics, controller).function.name()
-    'closed_loop'
+    Its states are the joint states of both. Controllers that differ only in the initial values of
+    their states have the same closed loop.
     """
     law = feedback_law(controller, dynamics)
     return ClosedLoop(dynamics, law, n_command=COMMAND_SIZE, n_own=len(CONTROLLER_STATES))
@@ -457,35 +361,8 @@ def fly_baseline(
 ) -> Flight:
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
-    The flight is verified if the battery can supply the power, and two integrators that share no
-    code agree. Final position and energy must agree within the tolerances of the accuracy `proof`.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission with fixed times. For an autopilot's cruise, the function `routes.cruise_at`
-        makes such a mission.
-    reference : Reference
-        Kind of path that the controller follows.
-    dynamics : Dynamics
-        Simulated vehicle in its wind.
-    plan : Plan, optional
-        The plan to follow, if the reference is the plan. If any plan is given, the flight starts in
-        its initial state.
-
-    Returns
-    -------
-    Flight
-        Table of the flight over time, and results. The attribute `owed_energy_J`, estimated with
-        the plan's costates, is NaN without a plan or with a wind forecast.
-
-    Raises
-    ------
-    ScenarioError
-        If the reference is the plan but no plan is given, or if the simulated vehicle is not a
-        quadrotor.
-    SolveError
-        If the flight is out of control, its integration fails, or the time is up (see `fly`).
+    The flight is verified if two integrators agree and the battery can supply the power. With a
+    plan, it starts in the plan's initial state. For errors, see `fly` and `reference_path`.
     """
     began = perf_counter()
     first = fly_reference(scenario, reference, dynamics=dynamics, plan=plan)
@@ -497,6 +374,7 @@ def fly_baseline(
         integrator=Integrator.MULTISTEP,
         rate_hz=0.0,
     )
+    # For a cruise, `routes.cruise_at` has made the scenario.
     speeds = scenario.baseline.cruise_speeds if reference is Reference.CRUISE else None
     return assembled_flight(
         baseline_name(reference, *(speeds or ())),
@@ -520,35 +398,9 @@ def fly_reference(
 ) -> ClosedLoopFlight:
     """Simulate a mission once under the adaptive controller along a reference.
 
-    Unlike `fly_baseline`, this function neither verifies nor tabulates the flight.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission with fixed times.
-    reference : Reference
-        Path that the controller follows.
-    dynamics : Dynamics
-        Simulated vehicle in its wind.
-    plan : Plan, optional
-        Plan to follow, if the reference is the plan. The flight starts in its initial state.
-    integrator : Integrator, optional
-        SciPy's integration method.
-    rate_hz : float, optional
-        Samples per second; the first and the last time are always included.
-    tolerance : float, optional
-        Relative and absolute tolerance of the integrator; by default the tolerance of verified
-        flights.
-
-    Returns
-    -------
-    ClosedLoopFlight
-        Samples of vehicle and controller.
-
-    Raises
-    ------
-    ScenarioError, SolveError
-        As for `fly_baseline`.
+    Unlike `fly_baseline`, this function neither verifies nor tabulates the flight. The `rate_hz`
+    samples per second always include first and last time. With a plan, the flight starts in the
+    plan's initial state.
     """
     refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.fixed_duration
@@ -568,24 +420,8 @@ def reference_path(
 ) -> ReferencePath:
     """Return the reference path that the controller follows, for one kind of reference.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission with fixed times.
-    reference : Reference
-        Step, quintic polynomial, minimum snap, an autopilot's cruise, or the plan.
-    plan : Plan, optional
-        Plan to follow, if the reference is the plan.
-
-    Returns
-    -------
-    callable
-        Takes a time [s] and returns the `Setpoint` to follow.
-
-    Raises
-    ------
-    ScenarioError
-        If the reference is the plan but none is given.
+    The path takes a time [s] and returns the `Setpoint` to follow. If the reference is the plan but
+    none is given, a ScenarioError is raised.
     """
     if reference in _PATHS:
         return _PATHS[reference](scenario.mission)
@@ -602,22 +438,8 @@ def reference_path(
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
     """Simulate a vehicle that applies a plan's controls without feedback; verify the flight.
 
-    The flight is simulated by two integrators. It is verified if their results agree and if the
-    battery can give the power.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission with the times of the plan.
-    plan : Plan
-        Plan whose controls (rotor accelerations) are applied.
-    dynamics : Dynamics
-        Simulated vehicle in the actual wind.
-
-    Returns
-    -------
-    Flight
-        The flight, whose name in comparisons is "open_loop/plan".
+    The flight is verified if two integrators agree and the battery can supply the power. `scenario`
+    has the times of the plan, `dynamics` the actual wind.
     """
     began = perf_counter()
     held = plan.trajectories
@@ -639,36 +461,16 @@ def assembled_flight(
 ) -> Flight:
     """Join the simulated parts of a flight, verify them, and estimate the energy still needed.
 
-    The energy still needed is the energy from the final state of the flight to hover at the goal.
-
-    Parameters
-    ----------
-    name : str
-        Name of the flight in comparisons.
-    scenario : Scenario
-        The mission.
-    dynamics : Dynamics
-        Simulated vehicle.
-    flown_twice : sequence of (Flown, Flown)
-        Each part of the flight, simulated by two integrators. There are several parts if the plan
-        is replaced in flight.
-    plan : Plan or None
-        Plan whose costates give the estimate of the energy still needed. The estimate is NaN
-        without a plan, and for a plan made for a forecast wind.
-    began : float
-        Value of `time.perf_counter` at the start of the simulation [s], for the computing time.
-
-    Returns
-    -------
-    Flight
-        The whole flight. It is verified if the battery can supply the power, and the two
-        integrators agree.
+    `flown_twice` has each part, simulated by two integrators. The energy from the final state to
+    hover at the goal is NaN without a plan or with a wind forecast.
     """
+    # There are several parts if the plan is replaced in flight.
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
     # The differences between the integrators are summed over the parts.
     doubt = "; ".join(_doubts(dynamics, flown_twice, flown))
-    # The costates of a flight in another wind do not apply to the end of this mission.
+    # The plan's costates give the energy still needed. Those of a flight in another wind do not
+    # apply to the end of this mission.
     is_told = scenario.wind.forecast is None
     flight = Flight.from_flown(
         name,
@@ -704,25 +506,8 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    Limits of the model have the tolerance of the scenario's accuracy. At waypoints and in hovers,
-    `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s] are added to the limits.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    dynamics : Dynamics
-        Simulated vehicle.
-    flown : Flown
-        Samples of the flight.
-    breaches : sequence of Violation
-        Largest violation of each limit of the model along the flight, as `Dynamics.violations`
-        returns them.
-
-    Returns
-    -------
-    dict
-        Name of the limit in words -> violation relative to the larger of 1 and the limit.
+    The amount is relative to the larger of 1 and the limit. Waypoints and hovers have additional
+    tolerances: `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s].
     """
     broken = {
         limit_words(breach.name): breach.relative
@@ -778,23 +563,9 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
 def path_of(planned: Trajectories, dynamics: Dynamics, scenario: Scenario) -> PlannedPath:
     """Return a plan as a reference path for the controller, sampled at 20 Hz.
 
-    The plan's equations give the velocities, the accelerations and the forces of the air along the
-    path. The controller uses them for feedforward.
-
-    Parameters
-    ----------
-    planned : Trajectories
-        The plan's states and controls.
-    dynamics : Dynamics
-        The plan's equations.
-    scenario : Scenario
-        Scenario with the mass and inertia of the vehicle, and with the payloads that the mission
-        releases at given times.
-
-    Returns
-    -------
-    PlannedPath
-        Takes a time [s] and returns the `Setpoint` to follow.
+    The equations `dynamics` of the plan give velocities, accelerations and air forces for
+    feedforward. `scenario` has the vehicle's mass and inertia, and the payloads that the mission
+    releases.
     """
     vehicle, times = scenario.vehicle, even_times(*planned.horizon, _PLAN_RATE_HZ)
     controls = planned.controls_at(times, dynamics.control_limits(HELD_BREACH))
@@ -891,15 +662,9 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 
 
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
-    """Raise an error if the vehicle model lacks a state that the controller measures.
+    """Raise a ScenarioError if the vehicle model lacks a state that the controller measures.
 
-    The tuple `MEASURED_STATES` has the names of these states. The error message begins with the
-    name of `scenario`.
-
-    Raises
-    ------
-    ScenarioError
-        If a state is missing; the error message names the missing state.
+    `MEASURED_STATES` has the names of these states. The message names the first that is missing.
     """
     missing = next((name for name in MEASURED_STATES if name not in dynamics.state_names), None)
     if missing is not None:

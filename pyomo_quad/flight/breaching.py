@@ -42,28 +42,26 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 class LimitDistance:
     """Statistics of the distance between flights in turbulence and one bound on a constraint.
 
-    The distance is positive within the bound, such as the limit on the roll angle. The flights
-    follow one plan under feedback, at n times.
+    The distance is positive within the bound.
 
     Attributes
     ----------
     name : str
-        Name of the path constraint in the Pyomo model.
+        Path constraint of the model.
     field : str
-        Scenario field that sets this bound, such as "limits.roll_max".
-    distance : ndarray, shape (n,)
-        Distance of the mean flight (without gusts) from the bound, in the unit of the bound.
-    planned : ndarray, shape (n,)
-        Distance of the plan itself from the same bound, in the unit of the bound.
+        Scenario field, such as "limits.roll_max".
+    distance, planned : ndarray, shape (n,)
+        Distance of the flight without gusts, and of the plan.
     deviation : ndarray, shape (n,)
-        Standard deviation of the distance over the flights, in the unit of the bound.
+        Standard deviation over the flights.
     correlation : ndarray, shape (n - 1,)
-        Correlation between the distances at one time and at the next.
+        Correlation between successive times.
     """
 
     name: str
     field: str
-    # The bound is the scenario's own, not the tightened one that the plan keeps.
+    # Distances are in the unit of the bound. The bound is the scenario's own, not the tightened one
+    # that the plan keeps.
     distance: FloatArray
     planned: FloatArray
     deviation: FloatArray
@@ -80,20 +78,8 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        Where the present plan is close to its margin, the new plan has the distance `changed` from
-        the limit. At other times, its distance is the larger of the present distance and `changed`.
-
-        Parameters
-        ----------
-        present : float
-            Margin of the present plan, in the unit of the limit.
-        changed : float
-            Margin of the new plan, in the unit of the limit.
-
-        Returns
-        -------
-        float
-            Probability that a flight along the new plan breaks the limit.
+        Where the present plan is close to its margin `present`, the new plan has the distance
+        `changed`. Elsewhere, its distance is at least `changed`. Units are those of the limit.
         """
         # Close means within a quarter of the margin or of the largest deviation, whichever is
         # larger.
@@ -103,11 +89,10 @@ class LimitDistance:
         return _crossing(self.distance + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, present: float, largest: float) -> float:
-        """Return the smallest margin at which the probability of breaking the limit is low enough.
+        """Return the smallest margin with which few enough flights break the limit.
 
         `share` is the largest acceptable probability, and `present` the margin of the present plan.
-        The result is at most `largest`, even if that margin does not suffice. Margins are in the
-        unit of the limit.
+        The result is at most `largest`, even if that does not suffice.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -130,8 +115,8 @@ _HALVINGS = 30
 def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability that a flight starts beyond a limit or crosses it later.
 
-    `distance` and `deviation` are mean and standard deviation of the distance, negative beyond the
-    limit.
+    `distance` is the mean distance from the limit, negative beyond it. `deviation` is its standard
+    deviation.
     """
     # Over the flights, the distance is normally distributed.
     beyond = distance / np.maximum(deviation, _ROUNDING)
@@ -149,19 +134,8 @@ def limit_distances(
 ) -> Iterator[LimitDistance]:
     """Yield the distance statistics of flights for each bound on a path constraint.
 
-    Only finite bounds are included, and only those that a field of the scenario sets.
-
-    Parameters
-    ----------
-    spread : Spread
-        Distribution of flights about a plan.
-    states, controls : ndarray, shapes (n, n_states), (n, n_controls)
-        The plan at the n times of the spread.
-
-    Yields
-    ------
-    LimitDistance
-        Statistics of the distance from one lower or upper bound.
+    Only finite bounds that a field of the scenario sets are included. `states` and `controls` are
+    the plan at the n times of the spread, one row each.
     """
     dynamics = spread.dynamics
     gradients = _gradients(spread)
@@ -219,20 +193,16 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """Random samples of flights in turbulence: distance from a goal or waypoint, or speed there.
-
-    The samples are of one quantity that the mission limits. Each instant at which the limit applies
-    has its own samples.
+    """Random samples of flights in turbulence, for one distance or speed that the mission limits.
 
     Attributes
     ----------
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Scenario field, such as the radius of a waypoint, that is tightened so that fewer flights
-        break the limit. Empty if there is none, as at the goal.
+        Scenario field that is tightened so that fewer flights break the limit; may be empty.
     off : ndarray, shape (n_instants, n_samples)
-        Samples of the distance [m] or the speed [m/s].
+        Samples at each instant at which the limit applies.
     within : float
         Largest distance [m] or speed [m/s] allowed.
     """
@@ -253,14 +223,14 @@ class Miss:
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return a copy in which the samples `off` are multiplied by the factor `share`.
+        """Return a copy in which all samples of distance or speed are multiplied by `share`.
 
-        A factor below 1 represents the distances or speeds in weaker turbulence.
+        If `share` is below 1, these are the distances or speeds in weaker turbulence.
         """
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return the decrease of the distances [m] or speeds [m/s] needed to keep the limit.
+        """Return by how much the distances [m] or speeds [m/s] must decrease to keep the limit.
 
         The limit counts as kept if the probability that a flight breaks it is at most `share`. The
         result is zero if the limit is kept already.
@@ -272,20 +242,8 @@ class Miss:
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
     """Return random samples of flights: distances from goal and waypoints, and speeds there.
 
-    The random numbers have a fixed seed: equal input gives equal samples. Waypoints without a given
-    time are left out.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission with fixed times.
-    spread : Spread
-        Normal distribution of the states of flights in turbulence about a plan.
-
-    Returns
-    -------
-    tuple of Miss
-        One entry for each distance or speed that the mission limits: its samples and its limit.
+    Each limited distance or speed has one entry. Waypoints without a given time are left out. Equal
+    input gives equal samples, because the random numbers have a fixed seed.
     """
     draws = np.random.default_rng(0).standard_normal((_SAMPLES, 3))
     mission, still = scenario.mission, np.zeros(3)

@@ -1,8 +1,8 @@
 """Caches of compiled problems and of calculators of steady flight.
 
 Each cache keeps the few values stored last. A compiled problem is the optimal control problem of a
-scenario, ready to be solved. A calculator of steady flight (class `SteadyFlight`) computes flight
-at constant velocity.
+scenario, ready to be solved. A calculator (class `SteadyFlight`) computes flight at constant
+velocity.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Candidate plan of a mission, which the planning strategies improve step by step.
 
 A candidate is the present solution in the search for a plan. A strategy is an action with a
-condition for using it; the table in `flight.strategies` lists the strategies. The conditions and
-actions are methods of the candidate. An action returns its outcome as text for the record of the
-search, or None if there is nothing to record.
+condition; the table in `flight.strategies` lists them. Conditions and actions are methods of the
+candidate. An action returns its outcome as text for the record, such as the solver's status, or
+None if there is nothing to record.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class AlongShortest:
     """Starting point of a search for a plan: the mission's solution along its shortest route.
 
     The search for the best order of the waypoints has found the solution `flight`, on a single
-    coarse mesh. The search for a plan compares it with the solutions along the other routes.
+    coarse mesh.
     """
 
     flight: Solution
@@ -77,35 +77,29 @@ class Candidate:
     Attributes
     ----------
     scenario : Scenario
-        The scenario to plan.
     mission : MissionProblem
         Compiled problem of the scenario in its forecast wind.
     search : Search
-        Record of the strategies tried, and progress callback that stops solves at the time limit.
+        Record of the strategies; as a progress callback, it stops solves at the time limit.
     start : Start or None
-        Starting point of the search, such as a plan, a warm start or the solution of a similar
-        problem.
+        Starting point of the search, such as a plan.
     solution : Solution or None
-        The solution from which the plan is made, converged or not. None before the first solve.
+        Present solution, converged or not; None before the first solve.
     routes : tuple of TriedRoute
-        Result for each route that was tried.
     is_closed : bool
         Whether keep-out zones block every route.
     diagnosis : Diagnosis or None
-        Diagnosis of a failed solve by an elastic problem, which minimises the violation of the
-        limits.
+        Least violation of the limits after a failed solve.
     slower : Trajectory or None
-        Solution of the mission with a longer duration, if there is one.
+        Solution with a longer duration.
     shortest : Solution or None
-        Solution of least duration within the limits of the mission, if the method `find_shortest`
-        found one.
+        Solution of least duration.
     failure : Failure or None
         Reason why all strategies failed.
     flown : Plan or None
-        The plan made from the solution, with the result of its simulation.
+        Plan made from the solution, with its simulation.
     tolerance : float
-        Tolerance of the mesh refinement. It may be reduced if a simulation does not confirm the
-        plan.
+        Tolerance of the mesh refinement.
     """
 
     scenario: Scenario
@@ -171,9 +165,8 @@ class Candidate:
     def has_routes(self) -> bool:
         """Return whether the search begins by comparing several routes.
 
-        A mission with keep-out zones or a wind field may have several routes. They are not compared
-        if the search starts from a plan, from a warm start, or from the solution of a similar
-        problem.
+        A mission with keep-out zones or a wind field may have several routes. They are compared
+        unless the search starts from a plan, a warm start or the solution of a similar problem.
         """
         is_open = self.start is None or isinstance(self.start, AlongShortest)
         return is_open and self.mission.has_routes
@@ -181,12 +174,8 @@ class Candidate:
     def fly_routes(self) -> str | None:
         """Solve the mission along each of its candidate routes and keep the best solution.
 
-        The method sets the attributes `solution`, `routes` and `is_closed`.
-
-        Returns
-        -------
-        str or None
-            The solver's status for the best solution if that solution failed; None otherwise.
+        The method sets `solution`, `routes` and `is_closed`. If the best solution failed, its
+        status is returned.
         """
         known = self.start.flight if isinstance(self.start, AlongShortest) else None
         self.solution, self.routes = RouteFlights(self.mission, known).best()
@@ -200,13 +189,8 @@ class Candidate:
     def from_flight(self) -> str | None:
         """Solve the mission from the solution of a similar problem, on the mesh of that solution.
 
-        The solution of the similar problem is the attribute `start`, the starting point of the
-        search. It serves as initial guess. The result becomes `solution`, even if it failed.
-
-        Returns
-        -------
-        str or None
-            The solver's status as text if the solve failed, otherwise None.
+        That solution, the attribute `start`, is the initial guess. The result becomes `solution`,
+        even if it failed. The solver's status is returned after a failure only.
         """
         if not isinstance(self.start, Solution):
             return None
@@ -218,7 +202,7 @@ class Candidate:
     def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
         """Return the trajectory of a similar problem, as an initial guess of the mission.
 
-        Static variables have the order of `mission`.
+        Its static variables are sorted in the order of `mission`.
         """
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
@@ -233,8 +217,8 @@ class Candidate:
     def starts_warm(self) -> bool:
         """Return whether the user gave a warm start that fits the mission's problem.
 
-        It fits if the earlier solve had the same variables and equations. If the user gave a plan,
-        the warm start is that of the plan.
+        The earlier solve must have had the same variables and equations. A given plan contains its
+        warm start.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -242,13 +226,9 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        The result becomes `solution`, even if it failed. A result that is not converged may be
-        discarded, so that other strategies are tried.
-
-        Returns
-        -------
-        str or None
-            The solver's status as text if the solve failed, otherwise None.
+        If braking rotors return no energy, a result that is not converged is discarded. Any other
+        result becomes `solution`, even if it failed. After a failure, the solver's status is
+        returned.
         """
         # The first mesh is that of the warm start, or the mission's own if the start is discarded.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
@@ -270,13 +250,8 @@ class Candidate:
     def from_plan(self) -> str | None:
         """Solve the mission from the trajectory of a plan, on the mesh of that plan.
 
-        The plan is the attribute `start`, the starting point of the search. Its trajectory serves
-        as initial guess. The result becomes `solution`, even if it failed.
-
-        Returns
-        -------
-        str or None
-            The solver's status as text if the solve failed, otherwise None.
+        The plan, the attribute `start`, is the initial guess. The result becomes `solution`, even
+        if it failed. The solver's status is returned after a failure only.
         """
         if isinstance(self.start, Plan):
             start = self.start.warm_start
@@ -287,11 +262,8 @@ class Candidate:
     def is_long(self) -> bool:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
-        The result is False in each of these cases:
-
-        - The mission is solved already.
-        - The mission has waypoints or keep-out zones.
-        - The model is the user's own, or has no regeneration.
+        The result is False for a solved mission, and for waypoints or keep-out zones. It is also
+        False for a user's own model, or if braking rotors return no energy.
         """
         mission = self.mission
         # Without regeneration, braking rotors return no energy. The power then has a kink at zero,
@@ -303,13 +275,8 @@ class Candidate:
     def from_cruise(self) -> str | None:
         """Solve the mission with steady flight as initial guess.
 
-        The mission is solved on a rough mesh first and, if that succeeds, on a fine mesh. The last
-        result becomes `solution`, even if it failed.
-
-        Returns
-        -------
-        str or None
-            The solver's status as text if the solve failed, otherwise None.
+        A rough mesh comes first and, if that succeeds, a fine mesh. The last result becomes
+        `solution`, even if it failed. The solver's status is returned after a failure only.
         """
         mission, told = self.mission, self.mission.told
         guess = guess_of(told, mission.steady)
@@ -336,12 +303,8 @@ class Candidate:
     def from_nothing(self) -> str | None:
         """Solve the mission from the default initial guess of the model.
 
-        The result becomes `solution`, even if it failed.
-
-        Returns
-        -------
-        str or None
-            The solver's status as text if the solve failed, otherwise None.
+        The result becomes `solution`, even if it failed. The solver's status is returned after a
+        failure only.
         """
         self.solution = self.mission.solve_from()
         return self._outcome()
@@ -371,14 +334,8 @@ class Candidate:
     def past_waypoints(self) -> str | None:
         """Solve the failed mission again, starting from the solution of an easier mission.
 
-        The waypoints of the easier mission have no radius and no speed limit. The new solution is
-        kept if its solve succeeds.
-
-        Returns
-        -------
-        str or None
-            The solver's status for the mission itself; None if there is no easier mission, or if
-            its solve fails.
+        The waypoints of the easier mission have no radius and no speed limit. A new solution is
+        kept if its solve succeeds. Without a solution of the easier mission, None is returned.
         """
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()
@@ -389,13 +346,8 @@ class Candidate:
     def restore(self) -> str | None:
         """Diagnose the failed solve by an elastic problem, and solve the mission again.
 
-        The elastic problem minimises the violation of the limits. If there is no violation left,
-        its solution is the initial guess for the mission. The method sets `diagnosis`.
-
-        Returns
-        -------
-        str or None
-            The solver's status; None if no feasible point was found.
+        The elastic problem minimises the violation of the limits. If no violation is left, its
+        solution is the initial guess. Otherwise, the result is None. The method sets `diagnosis`.
         """
         self.diagnosis = diagnose(self.found, progress=self.search)
         feasible = self.diagnosis.feasible_point
@@ -411,15 +363,9 @@ class Candidate:
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
 
     def slow_down(self, by: float) -> str:
-        """Solve the mission with its duration multiplied by ``by``.
+        """Solve the mission with its duration multiplied by ``by``; return the solver's status.
 
-        If the solve succeeds, its trajectory becomes the attribute `slower`, from which the method
-        `speed_up` starts.
-
-        Returns
-        -------
-        str
-            The solver's status.
+        If the solve succeeds, its trajectory becomes `slower`, from which `speed_up` starts.
         """
         longest = self.mission.told.mission.longest.value
         # The initial guess is the slower flight of the previous call, or the default guess of the
@@ -438,25 +384,15 @@ class Candidate:
     def speed_up(self) -> str | None:
         """Solve the failed mission again, starting from its solution with a longer duration.
 
-        The method `slow_down` finds the solution with a longer duration.
-
-        Returns
-        -------
-        str or None
-            The solver's status of the new solve; None if `slow_down` has found no solution.
+        The result is the solver's status, or None if `slow_down` has found no solution.
         """
         return None if self.slower is None else self._retried(self.slower)
 
     def find_shortest(self) -> str:
         """Solve for the least duration in which the mission can be flown within its limits.
 
-        The objective of this solve is the duration instead of the energy. Its solution becomes the
-        attribute `shortest`, which is None if the solve failed.
-
-        Returns
-        -------
-        str
-            The least duration as text, such as "12.3 s", or "none found" if the solve failed.
+        The solution becomes `shortest`, None if the solve failed. The result is the least duration
+        as text, such as "12.3 s", or "none found".
         """
         mission = self.mission
         model = mission.problems.builder(mission.told)
@@ -476,12 +412,7 @@ class Candidate:
     def from_shortest(self) -> str | None:
         """Solve the failed mission again, starting from the solution of least duration.
 
-        The method `find_shortest` computes the solution of least duration.
-
-        Returns
-        -------
-        str or None
-            The solver's status; None if `find_shortest` found no solution.
+        The result is the solver's status, or None if `find_shortest` found no solution.
         """
         if self.shortest is None:
             return None
@@ -501,8 +432,8 @@ class Candidate:
     def judge(self) -> None:
         """Record why the mission failed, and decide whether it is infeasible.
 
-        The method sets the attribute `failure` and the status of the solution. Without a diagnosis,
-        it changes nothing.
+        The method sets `failure` and the status of the solution. Without a diagnosis, it changes
+        nothing.
         """
         if self.diagnosis is None:
             return
@@ -544,7 +475,7 @@ class Candidate:
         return ""
 
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
-        """Return the single limits whose relaxation alone would make the mission feasible.
+        """Return the limits that make the mission feasible if one of them alone is relaxed.
 
         Each item has the necessary relaxation.
         """
@@ -581,7 +512,7 @@ class Candidate:
         self._began += self.flown.timings.get("verify", 0.0)
 
     def breaks_limits(self) -> bool:
-        """Return whether solves with stricter limits may turn the solution into a verified plan.
+        """Return whether stricter limits may turn the solution into a verified plan.
 
         The result is True if the simulated flight deviates from the plan (see `is_astray`). For the
         highest accuracy, `proof`, it is always False.
@@ -592,14 +523,8 @@ class Candidate:
     def keep_limits(self) -> str | None:
         """Solve again with stricter values of the limits that the simulated flight breaks.
 
-        The solve is repeated until the simulated flight keeps the mission's own limits, but at most
-        four times. The last plan becomes the attribute `flown`.
-
-        Returns
-        -------
-        str or None
-            Number of solves as text, such as "2 solves"; None if there was no solution with
-            stricter limits.
+        At most four solves are tried until the flight keeps the mission's limits. The last plan
+        becomes `flown`. The result is a text such as "2 solves", or None without a solution.
         """
         relaxed, asked, solves = self.found, self.scenario.solver.accuracy, 0
 
@@ -621,7 +546,7 @@ class Candidate:
         return f"{solves} solves" if solves else None
 
     def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
-        """Return whether a plan with stricter limits costs less than the solution without them.
+        """Return whether a plan with stricter limits needs less energy than the solution `relaxed`.
 
         The difference must exceed the solver's relative tolerance.
         """
@@ -644,14 +569,9 @@ class Candidate:
     def tighten(self) -> str | None:
         """Solve again with smaller tolerances of the mesh refinement, and simulate the new plan.
 
-        If the solve converges, `solution` and `flown` are replaced. The attribute `tolerance` may
-        be reduced in any case.
-
-        Returns
-        -------
-        str or None
-            Tolerance of the mesh refinement, such as "tolerance 1e-07"; None if the new solve does
-            not converge.
+        If the solve converges, `solution` and `flown` are replaced, and a text such as "tolerance
+        1e-07" is returned. Otherwise, the result is None. The attribute `tolerance` may become
+        smaller even then.
         """
         found, asked = self.found, self.scenario.solver.accuracy
         plan, figures = self.plan, FIGURES[asked]
@@ -698,18 +618,9 @@ class Candidate:
     def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
         """Plan the mission again with an upper limit on the power that the battery supplies.
 
-        The new plan replaces the present plan if it is verified. The limit is a fixed fraction of
-        the greatest power that the battery can give.
-
-        Parameters
-        ----------
-        carry_out : callable
-            Takes a candidate and applies the planning strategies to it.
-
-        Returns
-        -------
-        str
-            The solver's status of the new plan.
+        The limit is `GIVEN_SHARE` times the battery's greatest power. `carry_out` applies the
+        planning strategies to a candidate. The new plan, whose status is returned, is kept if it is
+        verified.
         """
         limits = self.scenario.limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
         within = self.mission.told.model_copy(update={"limits": limits})
@@ -727,11 +638,10 @@ class Candidate:
 
 
 def guess_from(plan: Plan, scenario: Scenario) -> dict[str, Any]:
-    """Return a plan as an initial guess for the solve of a mission with the same waypoints.
+    """Return a plan as an initial guess for a mission with the same waypoints.
 
-    Names of states and controls, and "time", map to values at the n nodes of the plan, shape (n,).
-    The values of "time" are nominal times of the mission [s]. Names of variables for free times map
-    to times of the plan [s].
+    States and controls map to values at the n nodes, and "time" to the nodes' nominal times [s].
+    Free times of the mission map to the plan's times [s].
     """
     held, times = plan.trajectories, plan.trajectories.node_times
     guess = dict(zip(held.state_names, held.states.T, strict=True))

@@ -2,8 +2,7 @@
 
 A leg is the line between two corners of a route. The floor is the least height above the ground
 that the mission allows. A leg below the floor is replaced by a climb, a level part and a descent.
-The level part has the greatest height that the floor requires along the leg. Climb and descent are
-just steep enough to clear the floor.
+The level part has the greatest height that the floor requires along the leg.
 """
 
 from itertools import pairwise
@@ -26,20 +25,8 @@ _HIGHER = 0.1
 def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
     """Return a route raised where its legs are too low over terrain, with additional corners.
 
-    The route is returned unchanged if there is no terrain or no floor. It is also returned
-    unchanged if the raised route would enter a keep-out zone.
-
-    Parameters
-    ----------
-    places : ndarray, shape (n, 3)
-        Corners of the route [m].
-    airspace : Airspace
-        Terrain, floor above it, and keep-out zones.
-
-    Returns
-    -------
-    ndarray, shape (m, 3)
-        Corners of the raised route [m], m >= n.
+    `places` has the corners [m], shape (n, 3). The route is unchanged without terrain or floor, or
+    if the raised route would enter a keep-out zone.
     """
     if airspace.ground is None or airspace.floor is None:
         return places
@@ -64,6 +51,7 @@ def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
         return np.empty((0, 3))
     first, last = ends[:, 2]
     level = max(float(needed.max()), first, last)
+    # Climb and descent are just steep enough to clear the floor.
     climb = max(float(((needed - first) / shares).max()), 0.0)
     descent = max(float(((needed - last) / (1 - shares)).max()), 0.0)
     meeting = (last + descent - first) / (climb + descent)

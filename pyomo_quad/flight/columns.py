@@ -43,18 +43,17 @@ class Column:
     Attributes
     ----------
     name : str
-        Heading of the column in the table.
+        Heading of the column.
     component : str
-        Full name of the component of the Pyomo model whose values are in the column.
+        Full name of the component.
     index : int or None
-        Index of the component other than time, such as the number of a rotor; None if there is
-        none.
+        Index such as the number of a rotor.
     words, symbol, unit : str
-        Name in words, symbol (LaTeX) and unit, as printed in figures.
+        Printed name, symbol (LaTeX) and unit.
     scale : float
-        Factor from the stored value to the printed value.
+        Factor from stored to printed value.
     smallest_span : float
-        Least range of the axis in a figure, in the printed unit.
+        Least range of an axis, in the printed unit.
     """
 
     name: str
@@ -99,7 +98,8 @@ class Column:
 def _of(block: str) -> Callable[..., Column]:
     """Return a function that makes table columns for the variables of one block of the model.
 
-    Its arguments: name of the column, name of the variable, other attributes of `Column`.
+    It takes the name of the column, the name of the variable in the block, and other attributes of
+    `Column`.
     """
     return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 
@@ -192,24 +192,8 @@ def flight_columns(
 ) -> dict[str, FloatArray]:
     """Return the columns of a flight's table, evaluated with the model's equations.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the simulated vehicle. A column is omitted if the model lacks its quantity.
-    t : ndarray, shape (n,)
-        Times [s].
-    states : ndarray, shape (n, n_states)
-        States at these times, in the order of the dynamics.
-    controls : ndarray, shape (n, n_controls)
-        Controls at these times.
-    energy : ndarray, shape (n,)
-        Energy spent since the start [J].
-
-    Returns
-    -------
-    dict
-        Name of the column -> values, shape (n,). The first column is the time. The others have the
-        order of the function `columns_of`.
+    The result maps names of columns to values, shape (n,): the time first, then the order of
+    `columns_of`. A column is omitted if the model lacks its quantity. `energy` is in J.
     """
     count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
     columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
@@ -227,7 +211,7 @@ def flight_frame(
     """Return the table of a flight, evaluated with the model's equations.
 
     The first column is the time. The others are body and rotor motion, thrust, power, energy, wind,
-    battery and motors. The function `flight_columns` computes all columns.
+    battery and motors.
 
     Parameters
     ----------

@@ -1,12 +1,11 @@
 """Adaptive backstepping controller for position and attitude of a quadrotor.
 
-The paper by Yacef et al., whose model this package uses, refers to such a controller without its
-equations. For the control law, the proof by a Lyapunov function and the limits, see
-docs/theory/controller.md, eqs. (1) to (11).
+Yacef et al., whose model this package uses, refer to such a controller without its equations. For
+the control law, the proof by a Lyapunov function and the limits, see docs/theory/controller.md,
+eqs. (1) to (11).
 
-The control law accepts numbers and symbolic variables; with symbolic variables, it returns
-expressions. It therefore uses only arithmetic and NumPy's scalar functions, without branches (if)
-that depend on values.
+The control law accepts numbers and symbolic variables. It therefore uses only arithmetic and
+NumPy's scalar functions, without branches (if) that depend on values.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,9 +28,9 @@ Vector = Sequence[float]
 class AttitudeKinematics(Protocol):
     """Interface of the attitude kinematics, which relate attitude angles and body rates.
 
-    The methods convert body rates to rates of the angles. They also convert the accelerations, in
-    both directions. The angles are roll, pitch and yaw [rad]. The body rates are the angular
-    velocities about the body axes [rad/s].
+    The methods convert body rates to rates of the angles, body accelerations to accelerations of
+    the angles, and these back. The angles are roll, pitch and yaw [rad]. The body rates are the
+    angular velocities about the body axes [rad/s].
     """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
@@ -175,19 +174,9 @@ _MIXER_ROWS = (
 
 
 def rotor_columns(dynamics: Dynamics) -> list[int]:
-    """Return the index of each rotor's speed among the states.
+    """Return the index of each rotor's speed ``rotors.omega[j]`` among the states.
 
-    The order is that of the controls, which are the accelerations of the rotors.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Model with a state ``rotors.omega[j]`` for each control ``rotors.alpha[j]``.
-
-    Returns
-    -------
-    list of int
-        One index for each rotor.
+    The order is that of the controls, the accelerations ``rotors.alpha[j]``.
     """
     names = list(dynamics.state_names)
     return [names.index(name.replace("alpha", "omega")) for name in dynamics.control_names]
@@ -196,15 +185,8 @@ def rotor_columns(dynamics: Dynamics) -> list[int]:
 def mixer_matrix(dynamics: Dynamics) -> FloatArray:
     """Return the matrix that maps squared rotor speeds to total thrust and body moments.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The vehicle. Its thrust and moments are evaluated with only one rotor turning, at 1 rad/s.
-
-    Returns
-    -------
-    ndarray, shape (4, n_rotors)
-        Rows: thrust [N s^2] and roll, pitch and yaw moment [N m s^2] per squared rotor speed.
+    The rows are thrust [N s^2] and roll, pitch and yaw moment [N m s^2]. Each column is evaluated
+    with only one rotor turning, at 1 rad/s.
     """
     columns = rotor_columns(dynamics)
     X = np.zeros((len(columns), len(dynamics.state_names)))
@@ -223,14 +205,12 @@ class Allocation:
     """Control allocation: rotor speeds for a commanded thrust and moments, within the limits.
 
     If the limits do not allow the whole command, the order of priority is: roll and pitch moments,
-    thrust, yaw moment. A vehicle that keeps its roll and pitch can correct errors of height and yaw
-    later.
+    thrust, yaw moment.
 
     Parameters
     ----------
     mixer : ndarray, shape (4, n_rotors)
-        Matrix from the function `mixer_matrix`, which maps squared rotor speeds to thrust and to
-        roll, pitch and yaw moment.
+        Matrix from `mixer_matrix`, from squared rotor speeds to thrust and moments.
     limits : Limits
         Limits on rotor speeds, thrust and moments.
     """
@@ -248,20 +228,11 @@ class Allocation:
         self._highest = limits.rotor_speed_max**2
 
     def rotor_speeds(self, thrust: float, moments: Sequence[float]) -> list[float]:
-        """Return the rotor speeds for a commanded thrust and moments.
+        """Return the rotor speeds [rad/s] within their limits, for a commanded thrust and moments.
 
-        Parameters
-        ----------
-        thrust : float
-            Commanded total thrust [N].
-        moments : sequence of three floats
-            Commanded roll, pitch and yaw moment [N m].
-
-        Returns
-        -------
-        list of float
-            Speed of each rotor within its limits [rad/s].
+        `thrust` is the total thrust [N]. `moments` are roll, pitch and yaw moment [N m].
         """
+        # A vehicle that keeps its roll and pitch can correct errors of height and yaw later.
         low, high = self._lowest, self._highest
         roll = _clipped(moments[0], -self._roll_max, self._roll_max)
         pitch = _clipped(moments[1], -self._pitch_max, self._pitch_max)
@@ -279,21 +250,12 @@ class Allocation:
         return [np.sqrt(_clipped(square, slowest, high)) for square in turned]
 
     def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
-        """Return the largest roll and pitch moments that the limits allow at a given thrust.
+        """Return the largest roll and pitch moments [N m] that the limits allow at a thrust [N].
 
-        The limits are those on rotor speeds and on moments.
-
-        Parameters
-        ----------
-        thrust : float
-            Total thrust [N]. Without a moment, all rotors give the same part of this thrust.
-
-        Returns
-        -------
-        roll, pitch : float
-            Largest roll moment without pitch moment, and largest pitch moment without roll moment
-            [N m].
+        The limits are those on rotor speeds and on moments. Each moment is the largest without the
+        other.
         """
+        # Without a moment, all rotors give the same part of the thrust.
         squares = [self._share * thrust] * len(self._roll)
         _, roll = _steps_within(squares, self._roll, self._lowest, self._highest)
         _, pitch = _steps_within(squares, self._pitch, self._lowest, self._highest)
@@ -336,18 +298,8 @@ _PROJECTION_LAYER = 0.1
 def bend(magnitude: float, limit: float) -> float:
     """Limit the magnitude of a number smoothly; values well below the limit stay unchanged.
 
-    Parameters
-    ----------
-    magnitude : float
-        Number to limit, of either sign.
-    limit : float
-        Largest absolute value of the result, positive.
-
-    Returns
-    -------
-    float
-        The number itself up to 80 % of the limit; above that, a tanh function of the same sign,
-        which approaches the limit.
+    The result is the number itself up to 80 % of the limit. Above that, it is a tanh function of
+    the same sign, which approaches the limit.
     """
     straight = _LINEAR_SHARE * limit
     rest = limit - straight
@@ -359,55 +311,23 @@ def bend(magnitude: float, limit: float) -> float:
 def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
     """Return the rate at which to reduce a tracking error to zero with limited deceleration.
 
-    Parameters
-    ----------
-    error : float
-        Tracking error e, in any unit.
-    gain : float
-        Ratio of rate to error for small errors [1/s].
-    acceleration_max : float
-        Largest deceleration a available, in the unit of the error per s^2.
-
-    Returns
-    -------
-    float
-        r = gain e / sqrt(1 + q) with q = gain^2 abs(e) / a, in the unit of the error per s. For
-        large errors, abs(r) is about sqrt(a abs(e)).
-
-    Notes
-    -----
-    At the rate r(e), the deceleration of the error is r dr/de = a/2 q (2 + q) / (1 + q)^2. This is
-    less than a/2 for every gain.
+    The rate is gain e / sqrt(1 + q), q = gain^2 abs(e) / a, for the error e and a =
+    `acceleration_max`. `gain` is in 1/s.
     """
+    # For large errors, the rate r is about sqrt(a abs(e)). At the rate r(e), the deceleration of
+    # the error is r dr/de = a/2 q (2 + q) / (1 + q)^2. This is less than a/2 for every gain.
     return gain * error / np.sqrt(1 + gain**2 * np.abs(error) / acceleration_max)
 
 
 def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
     """Limit the rate of an adaptive estimate, so that the estimate stays in a ball about zero.
 
-    This is the smooth projection operator of Krstic, Kanellakopoulos and Kokotovic (1995): see
-    docs/theory/controller.md, eq. (6).
-
-    Parameters
-    ----------
-    estimate : sequence of float
-        Present estimate, inside the ball.
-    rate : sequence of float
-        Rate of the estimate from the adaptation law.
-    bound : float
-        Radius of the ball.
-
-    Returns
-    -------
-    list of float
-        The rate to apply, a continuous function of the arguments.
-
-    Notes
-    -----
-    The projection never increases the Lyapunov function V of the controller. The reason is the
-    inequality (estimate - true) . (result - rate) <= 0. It holds if the true value of the estimated
-    quantity lies in the inner ball with 90 % of the radius.
+    `bound` is the radius of the ball. This is the smooth projection operator of Krstic,
+    Kanellakopoulos and Kokotovic (1995): see docs/theory/controller.md, eq. (6).
     """
+    # The projection never increases the Lyapunov function V of the controller, because
+    # (estimate - true) . (result - rate) <= 0. This holds if the true value lies in the inner ball
+    # with 90 % of the radius.
     outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)
     size_squared = sum(d * d for d in estimate)
@@ -426,10 +346,10 @@ STATES_PER_LOOP = 3 * _AXES
 class BacksteppingLoop:
     """Adaptive backstepping controller of three double integrators, for position or attitude.
 
-    Each axis has three states: xi_p and xi_v, the effects of the actuators' lag on the tracking
-    error and on its rate, and d_hat, the estimated disturbance (an acceleration). The tracking
-    error is the actual minus the reference value [m or rad]. See docs/theory/controller.md, eqs.
-    (1) to (7).
+    Each axis has three states. Two states, xi_p and xi_v, are the effects of the actuators' lag on
+    the tracking error and on its rate. The third, d_hat, is the estimated disturbance (an
+    acceleration). The tracking error is the actual minus the reference value [m or rad]. See
+    docs/theory/controller.md, eqs. (1) to (7).
     """
 
     outer: tuple[float, float, float]
@@ -456,20 +376,8 @@ class BacksteppingLoop:
     ) -> list[float]:
         """Return the initial states of the loop, for which the compensated errors are zero.
 
-        A compensated error is a tracking error minus the effect of the actuators' lag.
-
-        Parameters
-        ----------
-        error, error_rate : sequence of three floats
-            Tracking error e and its rate e' at the start.
-        learnt : sequence of three floats, optional
-            Initial estimate of the disturbance.
-
-        Returns
-        -------
-        list of nine floats
-            Three values each of xi_p and xi_v, the effects of the lag on the error and on its rate,
-            and of the estimated disturbance.
+        A compensated error is a tracking error minus the effect of the actuators' lag. `learnt` is
+        the initial d_hat. The result has three values each of xi_p, xi_v and d_hat.
         """
         shrink = _shrink(error, self.reach)
         missing = [
@@ -487,23 +395,9 @@ class BacksteppingLoop:
     ) -> tuple[list[float], list[float]]:
         """Return the commanded acceleration and the time derivatives of the loop's states.
 
-        Parameters
-        ----------
-        error, error_rate : sequence of three floats
-            Tracking error, the actual value minus the reference value for each axis, and its rate.
-        reference_acceleration : sequence of three floats
-            Acceleration of the reference.
-        achieved_acceleration : sequence of three floats
-            Acceleration that the actuators produce now, without the disturbance.
-        states : sequence of nine floats
-            The loop's states, in the order in which `started` returns them.
-
-        Returns
-        -------
-        demand : list of three floats
-            Commanded acceleration for each axis.
-        rates : list of nine floats
-            Time derivatives of the loop's states, in the same order as `states`.
+        `reference_acceleration` is that of the reference. `achieved_acceleration` is what the
+        actuators produce now, without the disturbance. The order of the nine `states` is that of
+        `started`.
         """
         lags, lag_rates, estimate = states[:3], states[3:6], states[6:]
         compensated = [e - lag for e, lag in zip(error, lags, strict=True)]
@@ -576,19 +470,10 @@ def thrust_direction(roll: float, pitch: float, yaw: float) -> tuple[float, floa
 
 
 def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
-    """Return the roll and pitch that align the thrust with a force.
+    """Return the roll and pitch [rad] that align the thrust with a force in world axes.
 
-    Parameters
-    ----------
-    force : sequence of three floats
-        Force in world axes; its vertical component must be positive.
-    yaw : float
-        Present yaw, rad.
-
-    Returns
-    -------
-    roll, pitch : float
-        Attitude at which `thrust_direction` has the direction of the force, rad.
+    The vertical component of the force must be positive. `yaw` is the present yaw [rad]. The
+    function inverts `thrust_direction`.
     """
     ahead = force[0] * np.cos(yaw) + force[1] * np.sin(yaw)
     aside = force[0] * np.sin(yaw) - force[1] * np.cos(yaw)
@@ -602,9 +487,8 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    If `baseline.gains.tilt_max` is set, the result is this value. Otherwise, it is the tilt at
-    which the largest commanded thrust just carries the weight, but at least 0.1 rad. In both cases
-    it is at most the largest tilt that the limits on roll and pitch allow.
+    If set, it is `baseline.gains.tilt_max`. Otherwise, it is the tilt, at least 0.1 rad, at which
+    the largest commanded thrust carries the weight. The limits on roll and pitch always apply.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -639,22 +523,10 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The planned acceleration itself is not reduced, even if it exceeds the limits.
-
-        Parameters
-        ----------
-        acceleration : sequence of three floats
-            Commanded acceleration of the vehicle, zero in hover [m/s^2].
-        planned : sequence of three floats, optional
-            Planned acceleration [m/s^2]; zero if there is no plan. The result is then parallel to
-            the command.
-
-        Returns
-        -------
-        tuple of three floats
-            planned + (s(acceleration) - s(planned)) [m/s^2]. The function s shortens a vector to
-            fit the limits of thrust and tilt.
+        The result is planned + (s(acceleration) - s(planned)) [m/s^2]. The function s shortens a
+        vector to fit the limits of thrust and tilt. The planned acceleration itself is not reduced.
         """
+        # Without a plan (zero), the result is parallel to the command.
         # If the plan needs more thrust or tilt than the limits allow, `_reach` raises the limits.
         whole, own = (self._shortened(vector, planned) for vector in (acceleration, planned))
         x, y, z = (a + b - c for a, b, c in zip(planned, whole, own, strict=True))
@@ -729,20 +601,18 @@ _UNKNOWN_TILTING, _UNPLANNED = (0.0,) * 4, (0.0,) * _AXES
 class AdaptiveController:
     """Adaptive controller of a quadrotor: position loop, command filter, attitude loop, allocation.
 
-    The position loop commands thrust and tilt. The command filter smooths the tilt. The attitude
-    loop commands moments that follow the filtered tilt. The allocation gives the rotor speeds. See
-    docs/theory/controller.md.
+    The position loop commands thrust and tilt. The attitude loop commands moments that follow the
+    filtered tilt. See docs/theory/controller.md.
 
     Parameters
     ----------
     believed : Scenario
-        Scenario with the vehicle, limits, gravity and gains that the controller assumes. The wind
-        of the scenario is not used.
+        Vehicle, limits, gravity and gains, but not the wind.
     mixer : ndarray, shape (4, n_rotors)
-        Thrust and moments per squared rotor speed, as `mixer_matrix` returns them.
+        Result of `mixer_matrix`.
     learnt : sequence of three floats, optional
-        Initial estimate of the acceleration that the air causes [m/s^2]. It is ignored if
-        `baseline.adaptation` of the scenario is false.
+        Initial estimate of the acceleration by the air [m/s^2]; ignored without
+        `baseline.adaptation`.
     """
 
     def __init__(
@@ -786,21 +656,8 @@ class AdaptiveController:
     ) -> list[float]:
         """Return the controller's states at the start of a flight or of a new reference.
 
-        Parameters
-        ----------
-        setpoint : Setpoint
-            First setpoint of the reference.
-        body : sequence of twelve floats
-            Position, velocity, attitude and body rates of the vehicle, in the order of the names in
-            `MEASURED_STATES`.
-        last : sequence of 22 floats, optional
-            Final states for the previous reference, if there was one. Only the position loop is
-            then reset; the attitude command continues without a jump.
-
-        Returns
-        -------
-        list of 22 floats
-            Initial states of the controller, in the order of the names in `CONTROLLER_STATES`.
+        `body` has the values of `MEASURED_STATES`. `last` has the final states for the previous
+        reference, if any. Only the position loop is then reset; the attitude command has no jump.
         """
         position, velocity, attitude, body_rates = body[0:3], body[3:6], body[6:9], body[9:12]
         angle_rates = self._kinematics.angle_rates(attitude, body_rates)
@@ -823,28 +680,17 @@ class AdaptiveController:
     def command(self, reference: ReferencePath, t: float) -> list[float]:
         """Return the controller's input, computed from a reference path at time t [s].
 
-        Returns
-        -------
-        list of `COMMAND_SIZE` floats
-            In this order:
-
-            - the setpoint: position and yaw with their first two derivatives (12 numbers);
-            - the accelerations along world x and y that determine the commanded tilt (2);
-            - the planned rates and accelerations of roll and pitch (4);
-            - the planned accelerations along world x, y and z (3);
-            - the payload released so far [kg] (1).
-
-        Notes
-        -----
-        If the reference is a plan, all values are those at time t. For any other reference, the
-        planned values are zero. The accelerations for the tilt are then those of the reference at a
-        slightly later time, because the vehicle reaches a commanded tilt with a lag.
+        For its numbers, see `COMMAND_SIZE`. If the reference is a plan, all values are those at
+        time t. For any other reference, the planned values are zero.
         """
         place, rate, acceleration, tilting = reference(t)
+        # Mass of the payload released so far [kg].
         left = self._released(t)
         if tilting is not None:
             planned = acceleration[:_AXES]
             return [*place, *rate, *acceleration, *planned[:2], *tilting, *planned, left]
+        # The vehicle reaches a commanded tilt with a lag. The accelerations for the tilt are
+        # therefore those of the reference at a slightly later time.
         # The look-ahead starts at zero, because the vehicle is level at take-off.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
         ahead = reference(t + lead).acceleration[:2]
@@ -857,27 +703,10 @@ class AdaptiveController:
         omega: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the commanded rotor accelerations, and the derivatives of the controller's states.
+        """Return the rotor accelerations [rad/s^2], and the derivatives of the controller's states.
 
-        Parameters
-        ----------
-        command : sequence of 22 floats
-            Input that the method `command` computes from the reference path: setpoint, planned
-            motion and released payload.
-        body : sequence of twelve floats
-            Position, velocity, attitude and body rates of the vehicle, in the order of the names in
-            `MEASURED_STATES`.
-        omega : sequence of float
-            Speed of each rotor, rad/s.
-        states : sequence of 22 floats
-            States of the controller, in the order of the names in `CONTROLLER_STATES`.
-
-        Returns
-        -------
-        alpha : list of float
-            Acceleration of each rotor within its limit, rad/s^2.
-        rates : list of 22 floats
-            Time derivatives of the controller's states.
+        `command` is the result of the method `command`. `body` has the values of `MEASURED_STATES`,
+        `omega` the rotor speeds [rad/s], and `states` those of `CONTROLLER_STATES`.
         """
         setpoint = Setpoint(*(command[part] for part in _SETPOINT))
         squares = [speed * speed for speed in omega]
@@ -914,7 +743,7 @@ class AdaptiveController:
     def _most_rotor_acceleration(self, speed: float) -> float:
         """Return the largest rotor acceleration [rad/s^2] at a rotor speed [rad/s].
 
-        It limits gaining and losing speed alike.
+        The same value limits speeding up and slowing down.
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:
@@ -931,8 +760,8 @@ class AdaptiveController:
     ) -> tuple[list[float], list[float]]:
         """Return the accelerations of the commanded tilt [rad/s^2], and the filter's rates.
 
-        `states` are commanded roll and pitch [rad], and their rates [rad/s]. `force` is in world
-        axes [N].
+        The filter's rates are the derivatives of `states`: commanded roll and pitch [rad], and
+        their rates [rad/s]. `force` is in world axes [N].
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [
@@ -992,19 +821,9 @@ class AdaptiveController:
 def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
     """Return the controller as a feedback law, a function of the full state vector of a vehicle.
 
-    Parameters
-    ----------
-    controller : AdaptiveController
-        The controller.
-    dynamics : Dynamics
-        The vehicle; it defines the order of states and controls.
-
-    Returns
-    -------
-    callable
-        (command, states of the vehicle, states of the controller) -> (rotor accelerations
-        [rad/s^2], time derivatives of the controller's states). For the command, see
-        `AdaptiveController.command`.
+    The law is (command, states of the vehicle, states of the controller) -> (rotor accelerations
+    [rad/s^2], derivatives of the controller's states). For the command, see
+    `AdaptiveController.command`.
     """
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)

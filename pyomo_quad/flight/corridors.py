@@ -1,11 +1,10 @@
 """Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
-The cost of a route is its energy plus the price of time [W] times its duration. If the duration of
-the mission is free, the mission states the price. Otherwise, the price is chosen so that the
-cheapest route has the fixed duration.
+The cost of a route is its energy plus the price of time [W] times its duration. A mission with free
+duration states the price. Otherwise, the price makes the cheapest route take the fixed duration.
 
-Dijkstra's method, from the start and from the goal, gives the cheapest route through every grid
-point. See docs/theory/routes.md, "Corridors through a wind field".
+Dijkstra's method gives the cheapest route through every grid point: see docs/theory/routes.md,
+"Corridors through a wind field".
 """
 
 from collections.abc import Callable
@@ -51,8 +50,8 @@ _SHARES = (0.0, 0.5, 1.0)
 def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
     """Return a function that gives the power of level flight in still air [W] for airspeeds [m/s].
 
-    The function interpolates a table of airspeeds up to 24 m/s, or up to the first airspeed at
-    which the vehicle has no steady flight. Above the table, its value is infinite.
+    It interpolates a table up to 24 m/s, or up to the first airspeed without steady flight. Above
+    the table, its value is infinite.
     """
     speeds, powers = [], []
     near = None
@@ -111,26 +110,21 @@ class WindMap:
 
 @dataclass(frozen=True, kw_only=True)
 class LineCosts:
-    """Cost and time of steady flight along straight lines through a wind field.
-
-    All lines are near one leg, the flight from one waypoint to the next. They are parts of possible
-    routes for this leg.
+    """Cost and time of steady flight along straight lines near one leg, in a wind field.
 
     Attributes
     ----------
     told : Scenario
         The mission in its forecast wind.
     wind : WindMap
-        Wind at any place and time.
     power : callable
-        Takes airspeeds [m/s] and returns the power of level flight [W].
+        Airspeeds [m/s] -> power of level flight [W].
     ends : ndarray, shape (2, 3)
         Start and end of the leg [m].
     duration : float
-        Duration of the leg, or a guess if the duration is free [s]. It determines when a flight
-        passes a place.
+        Duration of the leg, or a guess [s].
     fastest : float
-        Largest ground speed that the scenario allows [m/s], infinite without such a limit.
+        Largest ground speed allowed [m/s], or infinite.
     """
 
     told: Scenario
@@ -144,22 +138,10 @@ class LineCosts:
     def of(
         self, starts: FloatArray, stops: FloatArray, price: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return cost [J] and time [s] of steady flight along straight lines.
+        """Return cost [J] and time [s] of steady flight along straight lines, shape (n,) each.
 
-        Parameters
-        ----------
-        starts, stops : ndarray, shape (n, 3)
-            Ends of the lines [m].
-        price : float
-            Price of time [W]. The cost is the energy plus the price times the time.
-
-        Returns
-        -------
-        costs : ndarray, shape (n,)
-            Costs [J]. They are infinite for a blocked line, for unknown wind, or if no ground speed
-            allows steady flight.
-        times : ndarray, shape (n,)
-            Times [s], meaningless if the cost is infinite.
+        The cost is the energy plus `price` [W] times the time. It is infinite if a line is blocked,
+        its wind unknown, or steady flight impossible; ignore the time then.
         """
         way = stops - starts
         lengths = np.linalg.norm(way, axis=1)
@@ -182,7 +164,7 @@ class LineCosts:
     def _passed(self, places: FloatArray) -> FloatArray:
         """Return the time at which a flight along the leg at constant speed passes n places [s].
 
-        A place beside the leg counts as the nearest point of the leg.
+        For a place beside the leg, the nearest point of the leg is used.
         """
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
@@ -203,9 +185,8 @@ class LineCosts:
 def has_corridors(told: Scenario) -> bool:
     """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    `told` is the mission in its forecast wind, which must act through the airspeed
-    (`wind.coupling = "drag"`). The wind must differ between horizontal positions, or flights must
-    keep out of places without wind (`wind.beyond` is not "hold").
+    The wind must act through the airspeed (`wind.coupling = "drag"`). It must differ between
+    horizontal positions, or flights must avoid places without wind (`wind.beyond` is not "hold").
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
@@ -234,23 +215,8 @@ def corridor_journeys(
 ) -> tuple[Journey, ...]:
     """Return journeys along cheap routes through a wind field, and the shortest journey.
 
-    A journey has one route for each leg from waypoint to waypoint. The journeys are combinations of
-    the corridors of the legs.
-
-    Parameters
-    ----------
-    told : Scenario
-        The mission in its forecast wind, which must be a wind field.
-    steady : SteadyFlight
-        Calculator of steady flight in still air, which gives the power.
-    shortest : tuple of Route
-        The shortest journey, regardless of the wind.
-
-    Returns
-    -------
-    tuple of Journey
-        At most four journeys in the order of increasing energy, and then `shortest`. Each route has
-        its estimated energy, or None if that is unknown.
+    Up to four journeys are in the order of increasing energy. The last is `shortest`, found
+    regardless of the wind. A journey has one route for each leg, with its energy.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])
@@ -270,18 +236,16 @@ def corridor_journeys(
 class Corridors:
     """Search for cheap routes that lie apart (corridors) between two waypoints in a wind field.
 
-    The flight from the first waypoint to the second is called a leg.
-
     Parameters
     ----------
     told : Scenario
         The mission in its forecast wind.
     power : callable
-        Takes airspeeds [m/s] and returns the power of level flight in still air [W].
+        Airspeeds [m/s] -> power of level flight in still air [W].
     ends : ndarray, shape (2, 3)
-        Start and goal of the leg [m].
+        The two waypoints [m].
     duration : float
-        Duration of the leg, or a guess if the duration is free [s].
+        Duration of the flight between them, or a guess if it is free [s].
     """
 
     def __init__(
@@ -342,7 +306,7 @@ class Corridors:
 def _grid(
     told: Scenario, ends: FloatArray
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the points of the search grid about a leg, and first and last point of each line.
+    """Return the points of the search grid about a leg, and the indices of both ends of each line.
 
     The start and the goal are the first two points. Points have shape (n, 3), in m.
     """
@@ -430,8 +394,8 @@ class _Search:
     def corridors(self, separation: float) -> list[FloatArray]:
         """Return the corridors: cheap routes that lie apart, the cheapest first.
 
-        Each is an array of corners [m], shape (n, 3). Some corner is at least `separation` [m] away
-        from each route found before.
+        Each is an array of corners [m], shape (n, 3). For each route found before, some corner of a
+        new route is at least `separation` [m] away from it.
         """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]

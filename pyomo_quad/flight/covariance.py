@@ -49,9 +49,6 @@ _LOST = 1e6
 class Spread:
     """Normal distribution of the states of flights in turbulence that follow a plan, at n times.
 
-    The states are those of the vehicle and of the turbulence filters, as `dynamics.state_names`
-    lists them.
-
     Attributes
     ----------
     t : ndarray, shape (n,)
@@ -59,14 +56,14 @@ class Spread:
     states, controls : ndarray, shapes (n, n_states), (n, n_controls)
         The flight without gusts (the mean).
     covariance : ndarray, shape (n, n_states, n_states)
-        Covariance of the states.
     onward : ndarray, shape (n - 1, n_states, n_states)
-        Covariance between the states at one time (rows) and at the next time (columns).
+        Covariance between one time (rows) and the next (columns).
     dynamics : Dynamics
-        Equations of the vehicle and of the turbulence filters, in the mean wind and without noise.
+        Equations in the mean wind, without noise.
     """
 
     t: FloatArray
+    # States of the vehicle and of the turbulence filters, as `dynamics.state_names` lists them.
     states: FloatArray
     controls: FloatArray
     covariance: FloatArray
@@ -86,21 +83,8 @@ class Spread:
 def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     """Compute the distribution of flights in turbulence that follow a plan under feedback.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission with fixed times. It states the turbulence, and standard deviations of the
-        errors of wind forecast, mass and power.
-    plan : Plan
-        Plan that the adaptive controller follows.
-    planner : Planner
-        Planner that compiles the equations of the vehicle in turbulence.
-
-    Returns
-    -------
-    Spread
-        Distribution at equally spaced times, at most `NOISE_STEP` [s] apart. This is the time step
-        over which the noise is constant.
+    `scenario` states the turbulence, and standard deviations of wind forecast, mass and power. The
+    times are equally spaced, at most `NOISE_STEP` [s] apart. The noise is constant between them.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -132,27 +116,12 @@ def propagated(
 ) -> tuple[FloatArray, FloatArray]:
     """Propagate the covariance of the states of a linear system over n steps.
 
-    Independent random numbers of unit variance act on the states. Some are drawn anew in each step
-    (white noise). The others are drawn once and stay constant.
-
-    Parameters
-    ----------
-    start : ndarray, shape (n_x, n_x)
-        Covariance at the start.
-    transitions : ndarray, shape (n, n_x, n_x)
-        Transition matrices of the steps.
-    noise : ndarray, shape (n, n_x, n_noise)
-        Input matrices of the steps, for the random numbers that are drawn anew in each step.
-    constants : ndarray, shape (n, n_x, n_constants)
-        Input matrices of the steps, for the random numbers that are drawn once.
-
-    Returns
-    -------
-    ndarray, shape (n + 1, n_x, n_x)
-        Covariances at the start and after each step.
-    ndarray, shape (n, n_x, n_x)
-        Covariances between the states before (rows) and after (columns) each step.
+    `noise` has the input matrices of random numbers drawn anew in each step, `constants` of those
+    drawn once. The second result has the covariances between states before (rows) and after
+    (columns) steps.
     """
+    # The random numbers are independent, with unit variance. `transitions` has the shape
+    # (n, n_x, n_x), and `noise` (n, n_x, n_noise).
     n, n_x, n_constants = constants.shape
     gusts = [start]
     # Responses of the states to each constant, which acts with one value in all steps.
@@ -170,28 +139,14 @@ def propagated(
 
 
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return covariances of the states without overflow.
+    """Return covariances of the states, and between successive times, without overflow.
 
-    If a standard deviation exceeds `_LOST` or is not finite at some time, all standard deviations
-    are set to `_LOST` from this time on. Every limit then counts as broken.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, n_x, n_x)
-        Covariance of the states at n times.
-    onward : ndarray, shape (n - 1, n_x, n_x)
-        Covariance between the states at one time (rows) and at the next time (columns).
-
-    Returns
-    -------
-    ndarray, shape (n, n_x, n_x)
-        Covariance of the states without overflow.
-    ndarray, shape (n - 1, n_x, n_x)
-        Covariance between successive times; zero where the standard deviations at the later time
-        are `_LOST`.
+    From the first time at which a standard deviation exceeds `_LOST` or is not finite, all of them
+    are `_LOST`. The covariance between successive times is then zero.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
-    # If the controller cannot follow the plan, the covariance grows without limit.
+    # If the controller cannot follow the plan, the covariance grows without limit. Every limit then
+    # counts as broken.
     is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
     if not is_lost.any():
         return covariance, onward
@@ -251,7 +206,7 @@ class _MeanFlight:
     def slopes(
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of the joint state's rates by joint state and random inputs.
+        """Return the derivatives of the joint state's rates by that state and by the random inputs.
 
         The shapes are (n, n_joint, n_joint) and (n, n_joint, n_noise + n_parameters).
         """
@@ -265,7 +220,8 @@ class _MeanFlight:
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
         """Return the derivatives of the joint state's rates by the uncertain parameters.
 
-        They are per standard deviation of a parameter, shape (n, n_joint, n_parameters).
+        Each is for a change by one standard deviation. The result has shape (n, n_joint,
+        n_parameters).
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
@@ -285,7 +241,8 @@ class _MeanFlight:
     ) -> FloatArray:
         """Return the rates of the vehicle's states for changed parameters, shape (n, n_states).
 
-        `side`, 1 or -1, is the sign of all changes, which are in the units of the parameters.
+        `change` maps names of parameters to changes in their units. `side` is 1, or -1 for the
+        opposite changes.
         """
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
         numbers = self._numbers | changed

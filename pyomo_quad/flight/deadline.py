@@ -69,20 +69,17 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
-    A simulation in the block raises `TimeIsUpError`. A solve stops only if the object is its
-    progress callback. The time counts from the construction of the object. In nested blocks, the
-    limit of the outermost deadline applies.
+    A simulation raises `TimeIsUpError`. A solve stops only if this object is its progress callback.
+    The time counts from construction. In nested blocks, the outermost limit applies.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose `solver.time_limit` is the limit [s of processor time]; ignored in an inner
-        block.
+        Scenario with `solver.time_limit` [s of processor time].
     progress : callable, optional
-        Progress callback of the caller, which may stop a solve earlier.
+        Callback that may stop a solve earlier.
     longest_s : float, optional
-        Longest time for this block [s of processor time]; the time limit may still end the block
-        earlier.
+        Shorter limit for this block [s].
     """
 
     def __init__(

@@ -1,9 +1,9 @@
 """Displacements that move the path of a coarse solution out of keep-out zones.
 
-Between its collocation points, the path of a coarse solution may cut corners of keep-out zones. A
-vehicle that follows the path under feedback then enters the zones too (`flight.tracking`). The path
-is therefore displaced, and the flight is simulated again. If the simulation confirms it, the coarse
-solution becomes a usable plan of lower accuracy. See docs/theory/tracking.md, eq. (8).
+Between its collocation points, the path of a coarse solution may cut corners of zones. A vehicle
+that follows it under feedback then enters the zones too (`flight.tracking`). The path is therefore
+displaced. If a simulation confirms it, the coarse solution becomes a usable plan of lower accuracy.
+See docs/theory/tracking.md, eq. (8).
 """
 
 from __future__ import annotations
@@ -70,21 +70,10 @@ Displacement = tuple[Push, ...]
 
 
 def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray, FloatArray]:
-    """Return the displacement of a path, and its time derivative, at n times.
+    """Return the displacement [m] of a path and its time derivative [m/s], shape (n, 3) each.
 
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        Times [s].
-    displacement : tuple of Push
-        The displacement, as a sum of pushes; an empty tuple displaces nothing.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Displacement [m].
-    ndarray, shape (n, 3)
-        Its time derivative [m/s].
+    `times` are the n times [s]. The displacement is a sum of pushes; an empty tuple displaces
+    nothing.
     """
     step = 1e-4 * _RAMP_S
     none = np.zeros((len(times), 3))
@@ -104,24 +93,10 @@ def limits_along(dynamics: Dynamics, flown: Flown) -> list[LimitValues]:
 def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) -> Displacement:
     """Return displacements of a flight's path that lead the flight out of keep-out zones.
 
-    Implements docs/theory/tracking.md, eq. (8). Other limits of the airspace, such as the least
-    height above the ground, are treated like zones.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the vehicle, with the limits of the airspace.
-    flown : Flown
-        Samples of the flight, dense near zones.
-    limits : sequence of LimitValues
-        Limited quantities at these samples (see `limits_along`).
-
-    Returns
-    -------
-    tuple of Push
-        One push for each time span that the flight spends inside a zone. It leads the shortest way
-        out, and somewhat beyond the edge.
+    Each time span inside a zone gets one push, the shortest way out and somewhat beyond. All limits
+    of the airspace count as zones. `flown` must be dense near them.
     """
+    # See docs/theory/tracking.md, eq. (8). Another limit is the least height above the ground.
     found: list[Push] = []
     for name, depth in _depths(limits).items():
         for first, after in spans_where(depth > 0.0):
@@ -163,7 +138,7 @@ def _depths(limits: Sequence[LimitValues]) -> dict[str, FloatArray]:
 def _slope(dynamics: Dynamics, flown: Flown, sample: int, name: str) -> FloatArray:
     """Return the gradient of the depth inside a zone at one sample, shape (3,).
 
-    It points deeper into the zone, in the unit of the constraint `name` per metre.
+    The gradient points deeper into the zone, in the unit of the constraint `name` per metre.
     """
     columns = [dynamics.state_names.index(state) for state in POSITION_STATES]
     rows = np.full(2 * len(columns), sample)

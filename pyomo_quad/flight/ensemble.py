@@ -1,9 +1,9 @@
 """Simultaneous simulation of many flights along one reference, each with random wind and mass.
 
 Control law, equations and assessment are those of a single flight; only the integration differs.
-All flights together take Runge-Kutta steps of fixed length. A step is at most `LONGEST_STEP_S`, the
-time over which the noise of the turbulence is constant. Stability, or accuracy at high gains of the
-controller, may require shorter steps. A test compares the result with SciPy's adaptive integration.
+All flights together take Runge-Kutta steps of fixed length, at most `LONGEST_STEP_S`. Over this
+time, the noise of the turbulence is constant. Stability or accuracy may require shorter steps. A
+test compares the result with SciPy's adaptive integration.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -77,12 +77,11 @@ class Draws:
     count : int
         Number n of flights.
     numbers : mapping to ndarray, shape (n,)
-        Full name of a parameter of vehicle or air -> its values, constant during a flight.
+        Full name of a parameter -> values, constant during a flight.
     noise : mapping to ndarray, shape (n_steps, n)
-        Full name of a parameter -> its values for steps of `LONGEST_STEP_S` [s] from the start of
-        the flight.
+        Full name of a parameter -> values in steps of `LONGEST_STEP_S` [s].
     start : mapping to ndarray, shape (n,)
-        Full name of a state -> its values at take-off.
+        Full name of a state -> values at take-off.
     """
 
     count: int
@@ -107,18 +106,13 @@ class Ending:
     Attributes
     ----------
     energy_J, charge_used_percent : float
-        Energy spent [J], and charge drawn in per cent of the battery's capacity (0 without
-        battery).
+        Energy spent, and charge drawn in per cent of the battery's capacity.
     miss_m, end_speed_m_per_s : float
-        Distance from the goal at the end, and speed at the end.
+        Distance from the goal and speed, at the end.
     largest_deviation_m, peak_tilt_rad : float
-        Largest distance from the reference position at the same time, and largest tilt.
+        Largest distance from the reference at equal times, and largest tilt.
     broken : mapping
-        Name of each broken limit in words -> amount:
-
-        - Arrival: distance from the goal [m] or speed [m/s] at the end.
-        - Battery: missing fraction of power or charge.
-        - Any other limit: largest violation, relative to the larger of 1 and the limit.
+        Name of each broken limit in words -> amount.
     """
 
     energy_J: float
@@ -127,6 +121,8 @@ class Ending:
     end_speed_m_per_s: float
     largest_deviation_m: float
     peak_tilt_rad: float
+    # Distance [m] or speed [m/s] on arrival, missing fraction of power or charge of the battery, or
+    # violation of another limit, relative to the larger of 1 and the limit.
     broken: Mapping[str, float]
 
     @property
@@ -172,8 +168,6 @@ TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
 class EnsembleSimulation:
     """Simulation of many flights of one scenario along one reference path, under feedback.
 
-    The flights differ in their random parameters, noise and initial states.
-
     Parameters
     ----------
     scenario : Scenario
@@ -183,7 +177,7 @@ class EnsembleSimulation:
     reference : callable
         Takes a time [s] and returns the `Setpoint` to follow.
     varied : sequence of str
-        Full names of the model parameters that differ between the flights, constant or over time.
+        Full names of the parameters that differ between the flights.
     """
 
     def __init__(
@@ -209,23 +203,8 @@ class EnsembleSimulation:
     def fly(self, draws: Draws) -> FlownOften:
         """Simulate one flight for each set of random numbers.
 
-        Parameters
-        ----------
-        draws : Draws
-            Random parameters, noise and initial states of the n flights. The parameters and noise
-            must have every name in `varied`.
-
-        Returns
-        -------
-        FlownOften
-            Quantities over time and the outcome of each flight.
-
-        Raises
-        ------
-        SolveError
-            If a state of a flight is not finite.
-        TimeIsUpError
-            If the limit on processor time, `solver.time_limit` in the scenario, has passed.
+        The parameters and noise of `draws` must have every name in `varied`. If a state is not
+        finite or the time limit has passed, a SolveError is raised.
         """
         keep_time()
         steps = np.floor(0.5 * (self._times[1:] + self._times[:-1]) / LONGEST_STEP_S).astype(int)
@@ -313,6 +292,7 @@ class EnsembleSimulation:
             told,
         )
         breaches = self._dynamics.violations_of(instants, flown.t)
+        # Without a battery, the charge drawn is 0.
         balance = np.full((count, samples, len(BALANCE_KEYS)), 0.0)
         if has_balance(self._dynamics):
             balance = instants.table(BALANCE_KEYS).reshape(balance.shape)

@@ -29,15 +29,8 @@ _SAMPLES = 2001
 def departures(plan: "Plan") -> tuple[str, ...]:
     """Return a message for each quantity of a plan that leaves its vehicle's validated range.
 
-    The validated range of airspeed, climb, descent and payload is the range that measured flights
-    cover.
-
-    Returns
-    -------
-    tuple of str
-        Messages such as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s". Here 17.2 m/s is the
-        largest value in the plan, 16 m/s the bound of the validated range, and 3.1 s the time
-        beyond this bound.
+    An example is "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s". It states the largest value,
+    the bound of the validated range, and the time beyond this bound.
     """
     return tuple(
         departures_of(

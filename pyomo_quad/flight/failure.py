@@ -19,19 +19,15 @@ class Failure:
     Attributes
     ----------
     longest : NamedDuration
-        The prescribed duration of the mission or, if the duration is free, the greatest allowed
-        duration, with the name of its scenario field.
+        Duration of the mission; if it is free, the greatest allowed duration.
     shortest_duration_s : float or None
-        Least duration within the limits of the mission, from a solve that minimises the duration.
-        None if this solve was not made or failed.
+        Least possible duration; None if it was not found.
     diagnosis : Diagnosis
-        Diagnosis of the failed solve: the equations with the largest residuals, the active limits,
-        and a set of limits whose joint relaxation makes the mission feasible.
+        Diagnosis of the failed solve.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
     doubt : str
-        Reason to believe that the mission is possible although no flight was found; empty if there
-        is no such reason.
+        Reason to believe that the mission is possible, or empty.
     """
 
     longest: NamedDuration

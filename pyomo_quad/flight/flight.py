@@ -93,8 +93,7 @@ class Flight(Summarised):
     name : str
         Name in comparisons, such as "optimal", "adaptive/quintic" or "open_loop/plan".
     frame : DataFrame
-        Table of the flight, one row per time. The function `columns.flight_columns` makes its
-        columns.
+        Table of the flight, one row per time, with the columns of `columns.flight_columns`.
     energy_J : float
         Energy spent [J], integrated together with the equations of motion.
     duration_s : float
@@ -104,7 +103,7 @@ class Flight(Summarised):
     terminal_miss_m : float
         Distance between final and required position [m].
     max_violation : float
-        Largest violation of any limit, relative to the larger of 1 and the limit.
+        Largest violation of any limit, divided by max(1, abs(limit)).
     worst_constraint : str
         Name of the limit with the largest violation.
     is_verified : bool
@@ -119,14 +118,14 @@ class Flight(Summarised):
         wind, whose costates do not hold in the actual wind.
     broken_limits : tuple of str
         Every limit that the flight violates by more than the tolerance, in words with the amount.
-        The limits of the model (path inequalities and bounds) come first, in order of decreasing
-        relative violation. The waypoints that the flight missed follow.
+        Limits of the model come first, in order of decreasing relative violation. Missed waypoints
+        follow.
     resolves : tuple of Resolve
         Record of each solve for a new plan during the flight.
     doubt : str
-        Reasons why a simulated flight is not verified; empty if there is none. Examples are two
-        integrations that differ too much, and a battery that lacks power, charge or voltage. Each
-        reason has the value found and the value allowed.
+        Reasons why a simulated flight is not verified, with the values found and allowed. Examples
+        are two integrations that differ too much, and a battery that lacks power. Empty if there is
+        none.
     """
 
     name: str
@@ -208,12 +207,11 @@ class Flight(Summarised):
         wall_s : float
             Computing time [s].
         owed_energy_J : float, optional
-            Energy that the vehicle still needs at the end of the flight to reach the required final
-            state [J]. NaN if it is not known.
+            Energy needed to get from the final state to the required one [J]; NaN if unknown.
         allowed : mapping, optional
-            Name of a limit without its index, such as "mission.hold_speed" -> additional tolerance
-            on its violation, in the unit of the limit. A limit counts as broken if its violation
-            exceeds this tolerance and the relative tolerance of `accuracy`.
+            Name of a limit without its index, such as "mission.hold_speed" -> tolerance on its
+            violation, in the unit of the limit. A limit is broken if its violation exceeds this
+            tolerance and the relative tolerance of `accuracy`.
         accuracy : Accuracy, optional
             Accuracy level, which sets the tolerance on the relative violation of every limit.
         """
@@ -251,25 +249,10 @@ def spans_where(is_inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def broken_limits(
     dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float], breach: float
 ) -> tuple[str, ...]:
-    """Return the limits that a flight violates by more than the tolerances, in words with amounts.
+    """Return the limits that a flight violates by more than both tolerances, in words with amounts.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Dynamics of the vehicle, which give the unit of each limit.
-    breaches : sequence of Violation
-        Largest violation of each limit.
-    allowed : mapping
-        Name of a limit without its index, such as "mission.hold_speed" -> tolerance on its
-        violation, in the unit of the limit. The tolerance of a missing name is zero.
-    breach : float
-        Second tolerance, relative to the larger of 1 and the limit. A limit is returned if its
-        violation exceeds both tolerances.
-
-    Returns
-    -------
-    tuple of str
-        Descriptions such as "roll angle by 0.2 rad".
+    An example is "roll angle by 0.2 rad". `breaches` has the largest violation of each limit. The
+    tolerances `allowed` and `breach` are those of `is_broken`.
     """
     return tuple(
         breach_words(found, dynamics.unit(found.name))
@@ -282,7 +265,7 @@ def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> 
     """Return whether a violation of a limit exceeds both of its tolerances.
 
     `allowed` maps names such as "mission.hold_speed" to tolerances in the unit of the limit, zero
-    for a missing name. `breach` is relative to the larger of 1 and the limit.
+    for a missing name. `breach` is the tolerance on the violation divided by max(1, abs(limit)).
     """
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 

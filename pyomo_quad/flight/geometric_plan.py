@@ -1,10 +1,8 @@
 """First plan of a mission: a flight along its shortest route, without an optimisation.
 
-The vehicle flies along the lines of the route, smoothed at corners, at most at the speed of least
-cost. A prescribed duration determines the speed instead. A simulation under feedback turns this
-path into a flight that satisfies the equations of motion. The plan spends more energy than the
-optimum, but is available before the first solve ends. See docs/theory/geometric_plan.md, eqs. (5)
-to (7).
+The vehicle flies along the lines of the route, smoothed at corners. A simulation under feedback
+turns this path into a flight that satisfies the equations of motion. The plan is not optimal, but
+it is available before the first solve ends. See docs/theory/geometric_plan.md, eqs. (5) to (7).
 """
 
 from __future__ import annotations
@@ -73,27 +71,8 @@ _ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
 def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
-    Paths of different speeds and accelerations are simulated under feedback, until a simulation
-    confirms one of them. At most three paths are simulated. The tolerances are wide: a flight may
-    end half a metre from the goal.
-
-    Parameters
-    ----------
-    mission : MissionProblem
-        The mission, with its compiled equations.
-
-    Returns
-    -------
-    Plan or None
-        The plan that a simulation confirms, or else the plan that was simulated last. The attribute
-        `verification` has the result of the simulation. The error estimate is the relative
-        difference between the energy and that of steady flight along the route. The result is None
-        in each of these cases:
-
-        - There is no route, or no steady flight along it.
-        - No path of an allowed duration keeps the limits.
-        - The model is a user's own.
-        - A waypoint has a prescribed time or heading.
+    If simulation confirms no plan, the last simulated plan is returned. None if no plan was
+    simulated, for a user's own model, or if a waypoint has a prescribed time or heading.
     """
     told = mission.told
     if not mission.problems.is_declared or any(
@@ -103,6 +82,7 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     try:
         journey = mission.journeys[0]
         fastest = _fastest(told, journey, mission.steady)
+        # The error estimate of the plan is the relative difference of its energy from this energy.
         least_energy = _energy_of_steady_flight(mission, journey, fastest)
         return _first_usable(mission, journey, fastest, least_energy)
     except (NoRouteError, SolveError):
@@ -112,26 +92,13 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 def smooth_flight(mission: MissionProblem, journey: Journey) -> dict[str, Any] | None:
     """Return a flight along a journey with smooth corners, as an initial guess of a solve.
 
-    The vehicle flies at the speed of least cost, and accelerates by at most 2.5 m/s^2. The flight
-    may break limits. See docs/theory/geometric_plan.md, eqs. (5) and (6).
-
-    Parameters
-    ----------
-    mission : MissionProblem
-        The mission, with a free duration and without waypoints.
-    journey : tuple of Route
-        The route from start to goal.
-
-    Returns
-    -------
-    dict or None
-        "time" -> fractions of the horizon, shape (n,); name of each state -> its samples, shape
-        (n,); "duration" -> the end time [s]. None if the vehicle has no steady flight, or if the
-        mission allows no duration of such a flight.
+    The keys are "time" (fractions of the horizon), "duration" [s] and names of states. None if no
+    steady flight has an allowed duration. See docs/theory/geometric_plan.md, eqs. (5) and (6).
     """
     told = mission.told
     try:
         fastest = _fastest(told, journey, mission.steady)
+        # The flight may break limits of the mission, as any initial guess may.
         pace = Pace(speed=fastest, acceleration=_GUESSED, turning=_GUESSED)
         path = _path(told, journey, pace, fastest)
         if path is None:
@@ -167,6 +134,7 @@ def _first_usable(
                 break
             if broken:
                 continue
+            # The tolerances are wide: a flight may end half a metre from the goal.
             found = verified(plan, solution, Accuracy.QUICK, least_energy, is_rough=True)
             checked = found.verification
             flown += 1
@@ -227,8 +195,8 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
     """Return a plan that follows a path exactly, and the solution with which to verify it.
 
-    The solution is only the initial point of a solve: it has the equations and the times of the
-    path.
+    The solution is not optimised. The verification takes only the equations and the required final
+    states from it.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]

@@ -35,37 +35,11 @@ def integrate(
     remedy: str,
     **options: Any,
 ) -> FloatArray:
-    """Integrate differential equations over a time span; return the states at given times.
+    """Integrate differential equations; return the states at `times`, shape (n_states, n_times).
 
-    The integration is restarted at each time at which the rates jump (an edge).
-
-    Parameters
-    ----------
-    rates : callable
-        Right-hand side: time [s] and states -> time derivatives, shape (n_states,).
-    span : (float, float)
-        First and last time [s].
-    start : array_like, shape (n_states,)
-        States at the first time.
-    times : sequence of float
-        Increasing times within the span [s] at which states are returned.
-    edges : sequence of float
-        Increasing times [s] between which the rates are smooth; edges outside the span are ignored.
-    flight, remedy : str
-        Name of the flight, and advice to the user: the beginning and the end of the error message
-        if the integration fails.
-    **options
-        Further options of `scipy.integrate.solve_ivp`.
-
-    Returns
-    -------
-    ndarray, shape (n_states, n_times)
-        States at `times`.
-
-    Raises
-    ------
-    SolveError
-        If the integrator stops before the end of the span.
+    `rates` takes time [s] and states. The integration restarts at `edges`, the times at which the
+    rates jump. If it stops early, a SolveError is raised; its message begins with `flight` and ends
+    with `remedy`.
     """
     wanted = np.asarray(times, dtype=float)
     inner = [edge for edge in edges if span[0] + _SHORTEST < edge < span[1] - _SHORTEST]
@@ -108,24 +82,10 @@ def _within(rates: Rates, first: float, last: float) -> Rates:
 def discrete(
     A: FloatArray, B: FloatArray, step: float | FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the transition and input matrices of a linear system, for steps of constant input.
+    """Return Phi and Gamma of x_end = Phi x_start + Gamma u, for n steps of dx/dt = A x + B u.
 
-    The matrices Phi and Gamma give the state at the end of a step (Van Loan, 1978): x_end = Phi
-    x_start + Gamma u.
-
-    Parameters
-    ----------
-    A, B : ndarray, shapes (n, n_x, n_x), (n, n_x, n_u)
-        Matrices of dx/dt = A x + B u, constant over each of the n steps.
-    step : float or ndarray, shape (n,)
-        Length of each step [s].
-
-    Returns
-    -------
-    ndarray, shape (n, n_x, n_x)
-        Transition matrices Phi.
-    ndarray, shape (n, n_x, n_u)
-        Input matrices Gamma.
+    The input u is constant in each step, of length `step` [s] (Van Loan, 1978). A and Phi have
+    shape (n, n_x, n_x), B and Gamma (n, n_x, n_u).
     """
     n, n_x, n_u = B.shape
     length = np.reshape(step, (-1, 1, 1))

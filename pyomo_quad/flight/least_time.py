@@ -47,31 +47,9 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration in which a mission is possible.
 
-    A first solve uses at most three meshes. If its result is close to the prescribed duration, a
-    second solve refines the mesh to the mission's tolerance.
-
-    Parameters
-    ----------
-    model : ConcreteModel
-        Model of the scenario; its objective is replaced.
-    scenario : Scenario
-        The mission, and the solver's settings.
-    progress : callable or None
-        Called at each Ipopt iteration; returning False stops the solve.
-    is_exact : bool, optional
-        Whether the least duration is itself the wanted result. If true, there is only one solve,
-        which refines the mesh to the relative error `_TIME_TOLERANCE`.
-
-    Returns
-    -------
-    Solution or None
-        Solution whose objective is the least duration [s]. If only the second solve fails, it is
-        the solution of the first. None if the first solve fails or is stopped.
-
-    Raises
-    ------
-    ScenarioError
-        If a user's own model lacks a variable for a free time of the mission.
+    The objective of the result is this duration [s]. Unless `is_exact`, it is accurate only near
+    the mission's duration. None if the solve fails or is stopped. Raises a ScenarioError like
+    `declared_free_times`.
     """
     duration, settings = scenario.nominal_duration, scenario.solver
     bounds = _RANGE[0] * duration, _RANGE[1] * duration
@@ -93,6 +71,7 @@ def shortest_flight(
             refinement=replace(refinement, max_meshes=meshes),
             progress=progress,
         )
+        # If only the second solve fails, the result is that of the first.
         if not solution.status.is_solved:
             break
         shortest = start = solution
@@ -104,29 +83,10 @@ def shortest_flight(
 
 
 def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
-    """Return the variables of a model for the times that the solve is free to choose.
+    """Return nominal value [s] -> Pyomo variable, for each time that a solve is free to choose.
 
-    These free times are the duration, if it is free, and for each waypoint the time at which the
-    vehicle arrives and, after a hover, leaves.
-
-    Parameters
-    ----------
-    model : ConcreteModel
-        Model of the scenario.
-    scenario : Scenario
-        The mission.
-
-    Returns
-    -------
-    dict
-        Nominal value of each free time [s] -> Pyomo variable of this time. The nominal value is the
-        scenario's value or estimate, and a point of the model's `ContinuousSet` of times. The
-        constraints at a free time are declared at its nominal value.
-
-    Raises
-    ------
-    ScenarioError
-        If a user's own model lacks a variable for a free time.
+    These times are a free duration, and the arrival and (after a hover) departure at waypoints.
+    Raises a ScenarioError if a user's own model lacks a variable.
     """
     mission = scenario.mission
     wanted = {"duration": mission.is_free, "mission.passing_time": bool(mission.waypoints)}
@@ -144,23 +104,19 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
 class Approach:
     """Sequence of plans whose durations decrease towards the least duration of a mission.
 
-    Each plan has the least energy for its duration. The sequence continues as long as simulation
-    verifies each plan.
-
     Attributes
     ----------
     scenario : Scenario
-        The mission, whose objective is the least time.
+        The mission of least time.
     shortest : Solution
         Solution of least duration.
     solve : callable
-        Solves a scenario of fixed duration and returns a plan. Its arguments are the scenario, a
-        solution to start from or None, and `search`.
+        Takes a scenario of fixed duration, an initial solution (or None) and `search`; returns a
+        plan.
     search : Search
-        Progress callback of the solves. It measures the cost of a solve, and stops a solve that
-        costs too much.
+        Progress callback, which stops expensive solves.
     plans : list of Plan
-        Plans made so far, in order of decreasing duration.
+        Plans of least energy so far, in order of decreasing duration.
     """
 
     scenario: Scenario
@@ -192,13 +148,9 @@ class Approach:
     def fly(self, lasting: float) -> str:
         """Solve the mission for a duration of ``lasting`` [s], and append the plan to `plans`.
 
-        The solve starts from the previous plan, the first from the solution of least duration. It
-        is stopped if its `Search.effort` exceeds three times that of the cheapest solve before.
-
-        Returns
-        -------
-        str
-            Status of the new plan in words, such as "verified" or "not_converged".
+        The result is the status of the plan in words. The solve starts from the previous plan, or
+        first from `shortest`. The solve is stopped at three times the `Search.effort` of the
+        cheapest earlier solve.
         """
         start = self.plans[-1].solution if self.plans else self.shortest
         self.search.begin_effort(self._most)
@@ -211,8 +163,8 @@ class Approach:
     def closest(self) -> Plan:
         """Verified plan of the shortest duration, or the first plan if none is verified.
 
-        It is a copy whose `scenario` is the mission of least time. Its `message` ends with its
-        duration and the least duration of the mission.
+        Its scenario is the attribute `scenario`, without the fixed duration of the solve. Its
+        message ends with its duration and the least duration of the mission.
         """
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (

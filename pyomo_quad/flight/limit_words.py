@@ -65,15 +65,10 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Convert the value of a limit from the unit of the model to the unit printed in reports.
+    """Convert a value in the model's unit to the value and unit printed in reports.
 
-    A squared speed or distance becomes the speed or distance itself. Values of a user's own model
-    are returned unchanged. `name`, `size` and `unit` are name, value and unit in the model.
-
-    Returns
-    -------
-    (float, str)
-        Value and unit to print.
+    A squared speed or distance becomes its square root. Values of limits of a user's own model stay
+    unchanged. `name` is the name of the limit in the model.
     """
     if name.partition("[")[0] not in WORDS:
         return size, unit

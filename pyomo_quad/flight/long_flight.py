@@ -1,7 +1,7 @@
 """Initial guess and meshes for a long, straight flight that accelerates, cruises and brakes.
 
-A vehicle changes its attitude within a second, which equal elements of a long flight would not
-resolve. The elements are therefore short at both ends, and grow towards the middle.
+Elements are short at both ends, where the vehicle changes its attitude within a second, and grow
+towards the middle.
 
 The cruise speed of the guess follows from the duration. If the duration is free, it is the speed of
 least cost per metre, or a higher speed if the greatest allowed duration requires it.
@@ -88,20 +88,8 @@ def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mes
 def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     """Return an initial guess for the solve of a long flight that accelerates, cruises and brakes.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    steady : SteadyFlight
-        Calculator of steady flight in the wind of the mission.
-
-    Returns
-    -------
-    dict or None
-        State name -> samples, shape (n,); "time" -> times of the samples [s]. If the duration is
-        free, "time" has fractions of the duration instead, and "duration" has the duration [s].
-        None if start and goal coincide, or if there is no hover or no steady flight at the cruise
-        speed.
+    It has samples of states and of "time" [s]. If the duration is free, "time" has fractions, and
+    "duration" [s] is added. None if start and goal coincide, or the vehicle cannot hover or cruise.
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
 
@@ -183,8 +171,8 @@ def _speed_for(distance: float, duration: float) -> float:
 def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
     """Return the approximate ground speed of least cost per metre along a direction [m/s].
 
-    The cost is the energy plus `price_of_time` [W] times the duration. The search is restricted to
-    1 to 30 m/s. `steady` computes the power, and `course` is the unit vector of the direction.
+    The cost is the energy plus `price_of_time` [W] times the duration. The speed is searched
+    between 1 and 30 m/s. `course` is the unit vector of the direction.
     """
     near: Trim | None = None
 

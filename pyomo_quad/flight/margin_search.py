@@ -1,11 +1,8 @@
 """Search for the margins with which flights of a plan in turbulence keep an allowed risk.
 
 The risk is the probability that a flight in turbulence breaks any limit. A margin is the amount by
-which a limit is tightened for the plan. The covariance of flights about a plan gives the
-margins of the next plan.
-
-Simulated flights test the refined plan. Limits that they break too often get larger margins. See
-docs/theory/risk.md, eqs. (7) to (9).
+which a plan tightens a limit. The covariance of flights about a plan gives the margins of the next
+plan; simulated flights that break limits increase them. See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -169,7 +166,7 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight breaks a limit without margin at the goal or at a waypoint.
+        """Probability that a flight breaks a limit at a place of the mission that has no margin.
 
         It is the sum over these limits. An example is the limit on the distance from the goal.
         """
@@ -211,10 +208,6 @@ class _Tested:
 class MarginSearch:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
-    Margins are the amounts by which limits are tightened for the plan. The search aims at margins
-    with which a flight in turbulence breaks a limit at most with the probability `risk`. Such
-    margins may not exist; see `best`.
-
     Parameters
     ----------
     paper : Plan
@@ -255,9 +248,8 @@ class MarginSearch:
     def is_beyond_the_controller(self) -> bool:
         """Return whether the controller is too weak for the allowed risk, whatever the margins.
 
-        The result is False if flights along the plan without margins are predicted to reach the
-        goal. Otherwise, vehicles that hover at the goal in gusts are simulated. The result is True
-        if the gusts carry away at least the fraction `risk` of them.
+        This is so if flights along the plan without margins are predicted to miss the goal, and
+        gusts carry at least the fraction `risk` of hovering vehicles away.
         """
         # Hovers are simulated only if flights along the plan without margins are predicted to miss
         # the goal. Such flights are expected to miss it at least as often as hovering vehicles.
@@ -409,8 +401,7 @@ class MarginSearch:
     def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
-        Its passing times are those that flights along the plan must keep, see
-        `margins.passing_times`.
+        `margins.passing_times` gives its new passing times.
         """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -476,10 +467,7 @@ class MarginSearch:
 
     @cached_property
     def _missed_by_hover(self) -> float:
-        """Fraction of hovering vehicles that gusts carry away from the goal, in a simulation.
-
-        Flights along any plan are expected to miss the goal at least as often.
-        """
+        """Fraction of hovering vehicles that gusts carry away from the goal, in a simulation."""
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
             update={"position": mission.goal.position, "yaw": mission.goal.yaw}

@@ -75,33 +75,29 @@ class RiskTaken:
     Attributes
     ----------
     asked : float
-        Largest risk that the scenario allows.
+        Allowed risk.
     predicted : float
-        Risk predicted from the covariance of flights, by a linear model. It is 1 if the search
-        ended before any test flight.
+        Risk by a linear model; 1 if the search ended before any test flight.
     failed, flown : int
         Number of test flights that broke a limit, and number of all test flights. The margins were
         found without these flights.
     is_satisfied : bool
         Whether the fraction of failed test flights is at most the allowed risk.
     margins : mapping
-        Field of the scenario -> amount by which the plan tightened it, in the field's unit.
+        Scenario field -> amount by which its limit was tightened.
     paper_energy_J : float
         Energy of the plan without margins [J].
     limiting : tuple of str
-        The limits that flights break most, in words, the most frequent first.
+        Limits that flights break most, in words, the most frequent first.
     least : float
-        Estimated lower bound on the risk of every plan; zero if it was not computed. It is the
-        fraction of simulated vehicles, hovering at the goal in turbulence, that end farther from
-        the goal, or faster, than a flight may end.
+        Estimated lower bound on the risk of any plan: fraction of simulated hovers at the goal that
+        end too far away or too fast. Zero if it was not computed.
     advice : str
-        Possible remedies for the user if the risk cannot be reached.
+        Possible remedies if the risk cannot be reached.
     stopped : str
-        Reason why the search for margins ended early; empty if the search was completed.
+        Reason why the search ended early; empty if it was completed.
     gains : mapping
-        Gains of the controller that the search changed, because flights with the default gains
-        break limits too often: field of the table ``baseline.gains`` -> value. Empty if the plan is
-        for the gains of the scenario.
+        Field of ``baseline.gains`` -> value that the search chose; empty if it kept the gains.
     """
 
     asked: float
@@ -197,17 +193,8 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
     """Yield how much nearer a flight comes to each bound of a limit than its plan.
 
-    Parameters
-    ----------
-    planned, flown : LimitValues
-        Values of the same limit along the plan and along the flight, at the same times.
-
-    Yields
-    ------
-    (str, float)
-        Scenario field that sets a bound of the limit, and how much nearer to this bound the flight
-        comes. For an upper bound, the number is the maximum of flown - planned over all times. For
-        a lower bound, it is the maximum of planned - flown.
+    Each result has the scenario field of the bound, and the maximum over time of a difference:
+    flown - planned for an upper bound, planned - flown for a lower bound.
     """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
@@ -237,24 +224,10 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
-    """Return the times at which flights that follow a plan must pass the waypoints.
+    """Return the times [s] at which flights that follow a plan must pass the waypoints.
 
-    With a margin on hovers, the plan reaches hover waypoints earlier than the mission requires, by
-    the time `lead`. Flights along the plan may reach them later by this time.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    planned : sequence of float
-        Time at which the plan reaches each waypoint [s].
-    lead : float
-        Margin on hovers: the plan begins each hover this much earlier than required [s].
-
-    Returns
-    -------
-    tuple of float
-        Time for each waypoint [s]: the planned time, later by `lead` at waypoints with a hover.
+    With a margin `lead` [s] on hovers, the plan begins each hover by `lead` earlier than required.
+    Flights may therefore arrive by `lead` later than planned.
     """
     return tuple(
         at + (lead if waypoint.hold else 0.0)
@@ -265,12 +238,11 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that leaves room for the mission.
 
-    `name` is the full name of a field with a limit, such as "airspace.floor". For rotor speed
-    and thrust, the result is 80 % of the range from hover to the limit. For other fields of
-    `limits`, it is 80 % of the limit. Even with a smaller margin, the mission may be infeasible.
+    For rotor speed and thrust, it is 80 % of the difference between the limit and the value in
+    hover. For other fields of `limits`, it is 80 % of the limit.
     """
     # With a larger margin, start, goal or a waypoint would lie outside the tightened limit, or the
-    # vehicle could hardly hover.
+    # vehicle could hardly hover. Even with a smaller margin, the mission may be infeasible.
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:
         heights = told.height_above_ground(mission.positions)

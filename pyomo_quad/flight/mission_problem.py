@@ -1,10 +1,9 @@
 """Compiled optimal control problem of a mission, and its solution by continuation.
 
-Without regeneration, a rotor that brakes returns no energy: a negative power counts as zero. The
-power therefore has a kink at zero, which makes the problem hard to solve. The model smooths the
-kink over the width `power.smoothing` [W], a parameter of the Pyomo model. Continuation solves the
-problem with larger, easier widths first. The solution of each problem is the initial point of the
-next.
+Without regeneration, a rotor that brakes returns no energy: a negative power counts as zero. This
+kink of the power makes the problem hard to solve. The model smooths the kink over the width
+`power.smoothing` [W], a parameter. Continuation solves easier problems with larger widths first.
+Each solution is the initial point of the next solve.
 """
 
 from __future__ import annotations
@@ -62,21 +61,18 @@ class MissionProblem:
     Parameters
     ----------
     problems : Problems
-        Compiler of scenarios, which caches compiled problems.
+        Compiler of scenarios.
     told : Scenario
         The mission in the wind that the optimiser assumes (the forecast).
     search : Search, optional
-        Progress callback, which may stop a solve. It also stores plans that simulation confirms at
-        lower accuracy than requested.
+        Progress callback, which stores usable plans.
 
     Attributes
     ----------
     timings : mapping
-        Time spent on each phase of the problem's preparation [s]: "build" and "compile".
+        Time spent on "build" and "compile" [s].
     easier : tuple of mapping
-        Parameter values (parameter name -> value) for the solves of continuation, the easiest
-        first. They smooth the kink of the power at zero over a larger width than the mission's own
-        values. The tuple is empty for a mission with regeneration.
+        Parameter values for continuation, the easiest first; empty with regeneration.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
@@ -166,52 +162,28 @@ class MissionProblem:
     def solve(self, numbers: dict[str, float] | None = None, **chosen: Any) -> Solution:
         """Solve the mission's problem, with refinement of the mesh but without continuation.
 
-        Parameters
-        ----------
-        numbers : dict, optional
-            Full name of a parameter -> value that replaces the mission's value. If given, the
-            method `keep_usable` is not called on intermediate meshes.
-        **chosen
-            Arguments of the method `Problem.solve` that replace those of the property `arguments`.
-
-        Returns
-        -------
-        Solution
-            Result, converged or not.
+        `numbers` maps full names of parameters to values that replace those of the mission. The
+        keywords ``chosen`` replace entries of `arguments`. The result may not have converged.
         """
         arguments = self.arguments | chosen
         if numbers:
             arguments["parameters"] = (arguments["parameters"] or {}) | numbers
+            # A solution for other parameter values makes no usable plan of this mission.
             arguments["refinement"] = replace(arguments["refinement"], on_mesh=None)
         return self.problem.solve(**arguments)
 
     def solve_roughly(self, **chosen: Any) -> Solution:
-        """Solve the mission on one mesh, with the parameter values that make it easiest.
+        """Solve the mission on one mesh, with the first parameter values of `easier`, if any.
 
-        These values give the widest smoothing of the power. If `easier` is empty, the mission's own
-        values are used. ``chosen`` has arguments of the solve that replace those of the property
-        `arguments`.
+        The keywords ``chosen`` replace entries of `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
-        Each problem is solved from the solution of an easier one. The mission itself is solved
-        last, with refinement of the mesh. If this solve fails on a refined mesh, the continuation
-        is repeated on that mesh, at most six times.
-
-        Parameters
-        ----------
-        guess : mapping, DataFrame or Trajectory, optional
-            Initial guess; by default the model's guess.
-        mesh : Mesh, optional
-            First mesh; by default the scenario's mesh.
-
-        Returns
-        -------
-        Solution
-            Result for the mission's own parameters, converged or not.
+        If the solve of the mission itself fails on a refined mesh, the continuation is repeated on
+        that mesh. The defaults are the model's guess and the scenario's mesh.
         """
         solution, easiest = self._by_way_of(self.easier, guess, mesh or self.arguments["mesh"])
         for _ in range(_MOST_RETURNS):
@@ -235,8 +207,8 @@ class MissionProblem:
     ) -> tuple[Solution, Solution | None]:
         """Solve the mission by continuation: with easier parameter values first, then with its own.
 
-        The result is the last solution, and the easiest converged one or None. If the latter is
-        given as `reached`, `guess` and `mesh` are not used.
+        The result is the last solution, and the easiest converged one or None. A known solution
+        `reached` replaces `guess` and `mesh` as the initial point.
         """
         first = reached
         for numbers in easier:
@@ -272,12 +244,11 @@ class MissionProblem:
 
     @staticmethod
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
-        """Convert the solution of another problem to the variables of the mission's problem.
+        """Convert a solution of another problem to the variables of the mission's problem.
 
-        ``own`` is any solution of the mission's problem. States and algebraic variables that
-        `other` lacks get their values from ``own``. Static variables (constant in time) are taken
-        from `other` if both problems have the same ones, otherwise from ``own``. The result is on
-        the mesh of `other`.
+        Variables that `other` lacks come from ``own``, any solution of the mission's problem. So do
+        static variables (constant in time), if the problems have different ones. The mesh is that
+        of `other`.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -298,10 +269,9 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """Problem of an easier mission: through the centres of the waypoints, at any speed.
+        """Problem of an easier mission, exactly through the waypoints at any speed.
 
-        The value is None if no waypoint of this mission has a radius or a speed limit: the easier
-        mission would be the same.
+        None if no waypoint has a radius or a speed limit.
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
@@ -342,18 +312,8 @@ class MissionProblem:
     def go_on(self, flown: Solution, **changed: Any) -> Solution:
         """Continue the mesh refinement from a converged solution, without a new solve on its mesh.
 
-        Parameters
-        ----------
-        flown : Solution
-            Converged solution for the mission's own parameters.
-        **changed
-            Attributes of `RefinementOptions`, as keyword arguments, that replace the mission's own
-            values.
-
-        Returns
-        -------
-        Solution
-            Result on the last mesh, converged or not.
+        The keywords ``changed`` replace attributes of the mission's `RefinementOptions`. The result
+        may not have converged.
         """
         refinement = replace(self.arguments["refinement"], known=flown, **changed)
         return self.solve(mesh=flown.mesh, warm_start=flown, refinement=refinement)
@@ -361,9 +321,8 @@ class MissionProblem:
     def keep_usable(self, finished: Solution) -> None:
         """Try to make a usable plan from `finished`, the solution on one mesh of the refinement.
 
-        A plan is usable if simulation confirms it at lower accuracy than requested. The attribute
-        `search` stores the best usable plan, for the case that the search is stopped. Without
-        `search`, nothing is done.
+        A plan is usable if simulation confirms it at lower accuracy than requested. The best one is
+        stored in `search`, and is the result if the search is stopped.
         """
         search = self.search
         if search is None:

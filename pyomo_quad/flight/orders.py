@@ -1,9 +1,9 @@
 """Cheapest orders of places from a table of leg costs, and a lower bound on the cost of any order.
 
-A leg is the flight from one place to another. In the table, the row is the place where a leg begins
-and the column the place where it ends: first the start, then the other places, last the goal. The
-cost of a leg may depend on its direction. Derivation of the bound: docs/theory/orders.md, eqs. (2)
-to (5).
+A leg is the flight from one place to another. In the table `costs`, shape (n + 2, n + 2), a leg
+begins at the place of its row and ends at that of its column: the start, n places, the goal. A leg
+that is not allowed has infinite cost. An order lists the n places; index k stands for row and
+column k + 1. Bound: docs/theory/orders.md, eqs. (2) to (5).
 """
 
 from dataclasses import dataclass
@@ -40,16 +40,14 @@ class OrderSearch:
     Attributes
     ----------
     order : tuple of int
-        Indices of the scenario's waypoints, in the order in which the plan visits them.
+        Indices of the waypoints, in the order of the plan.
     cost_J : float
-        Cost of this order [J], the sum over its legs: flights from one place to the next, from
-        hover to hover. The cost of a leg is its energy plus the mission's price of time [W] times
-        its duration.
+        Sum of the costs of its legs [J], flights from hover to hover. The cost is energy + price of
+        time [W] x duration.
     bound_J : float
-        Lower bound on the cost of every order of the waypoints [J]. If the flight of a leg was not
-        solved, the bound uses an optimistic prediction of its cost.
+        Lower bound on the cost of every order [J], with optimistic costs of unsolved legs.
     solved, legs : int
-        Number of legs whose flight was solved, and number of all legs that orders may use.
+        Number of solved legs, and of all legs that orders may use.
     """
 
     order: tuple[int, ...]
@@ -89,58 +87,25 @@ class OrderSearch:
 def best_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, the cheapest first.
 
-    If there are at most 12 places (the constant `MOST_EXACT`), the result is exact. For more places
-    it holds the best orders that a local search finds.
-
-    Parameters
-    ----------
-    costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg (flight from one place to another). The legs from the start are in row 0,
-        the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
-    count : int
-        Number of orders to return; fewer are returned if fewer exist. The last of them may have
-        infinite cost.
-
-    Returns
-    -------
-    list of tuple of int
-        Each order as indices of the n places between start and goal. The place with index k has
-        row k + 1 and column k + 1 in `costs`.
+    The result is exact for at most 12 places (`MOST_EXACT`), otherwise from a local search. It has
+    at most `count` orders; the last may contain legs that are not allowed.
     """
     return (exact_orders if len(costs) - 2 <= MOST_EXACT else search_orders)(costs, count)
 
 
 def cost_of(costs: FloatArray, order: _Order) -> float:
-    """Return the cost of an order of places: the sum of the costs of its legs.
-
-    Entry (i, j) of `costs` is for the leg from place i to place j. The number k in `order` stands
-    for place k + 1.
-    """
+    """Return the cost of an order of places: the sum of the costs of its legs."""
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
 
 
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
-    """Return the cheapest orders of the places between start and goal, by dynamic programming.
+    """Return the cheapest orders of places, the cheapest first, by dynamic programming [1]_.
 
-    The method is that of Held and Karp [1]_.
+    There are `count` orders, or fewer if fewer exist.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
-
-    Parameters
-    ----------
-    costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg (flight from one place to another). The legs from the start are in row 0,
-        the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
-    count : int
-        Number of orders to return; fewer are returned if fewer exist.
-
-    Returns
-    -------
-    list of tuple of int
-        Orders, the cheapest first, each as indices of the n places between start and goal. The
-        place with index k has row k + 1 and column k + 1 in `costs`.
     """
     n = len(costs) - 2
     # A state of the recursion is the set of the places passed so far, and the place passed last.
@@ -177,27 +142,13 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 
 
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
-    """Return the cheapest orders that local search finds for the places between start and goal.
+    """Return up to `count` orders of places that a local search finds, the cheapest first.
 
     A local change exchanges two neighbouring blocks of an order, or reverses a block [1]_. The
-    search is repeated from random perturbations of the best order, the same ones in every call.
+    result is the same in every call.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
-
-    Parameters
-    ----------
-    costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg (flight from one place to another). The legs from the start are in row 0,
-        the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
-    count : int
-        Number of orders to return; fewer are returned if fewer are found.
-
-    Returns
-    -------
-    list of tuple of int
-        Orders, the cheapest first, each as indices of the n places between start and goal. The
-        place with index k has row k + 1 and column k + 1 in `costs`.
     """
     finite = _without_infinities(costs)
     neighbours, random = _neighbours(len(costs) - 2), np.random.default_rng(0)
@@ -262,8 +213,7 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
 def nearest_first(costs: FloatArray) -> IntArray:
     """Return the greedy order of places: the next place is always the cheapest one to reach.
 
-    `costs` is the table of leg costs or lengths. The result has the row numbers of the places
-    between start and goal. Row 0 of the table is the start.
+    The result has the row numbers of the places between start and goal. `costs` may hold lengths.
     """
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
@@ -290,25 +240,11 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of the places between start and goal.
 
-    The result is the larger of two bounds, by assignment and by spanning trees [1]_; see
-    docs/theory/orders.md, eqs. (2) to (5).
+    It is the larger of two bounds, by assignment and by spanning trees [1]_. It does not exceed
+    `reached`, the cost of a known order. See docs/theory/orders.md, eqs. (2) to (5).
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
-
-    Parameters
-    ----------
-    costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg (flight from one place to another), for at least one place between start
-        and goal.
-    reached : float
-        Cost of a known order, which the result does not exceed. It also sets the step length of
-        the iteration for the bound by spanning trees.
-
-    Returns
-    -------
-    float
-        The lower bound, in the unit of `costs`.
     """
     finite = _without_infinities(costs)
     successors = finite[:-1, 1:].copy()
@@ -357,6 +293,7 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
             break
         if idle > _PATIENCE:
             eager, idle = _SHRINK * eager, 0
+        # The step length follows from the gap between the bound and the cost of a known order.
         prices += eager * max(reached - bound, 0.0) / float(missing @ missing) * missing
     return best
 

@@ -198,28 +198,22 @@ class OutsidePlant:
     """RotorPy's multirotor, simulated with the states, controls and power of the declared model.
 
     The declared model is the scenario's Pyomo model. A joint state has four parts: RotorPy's state
-    vector, the declared states that RotorPy lacks (such as the charge drawn), the states of a
+    vector, the declared states that RotorPy lacks (such as the charge drawn), the own states of a
     control law, and the energy spent.
 
     Parameters
     ----------
-    scenario : Scenario
-        Mission and vehicle.
-    dynamics : Dynamics
-        The declared vehicle: its power, its battery and the wind.
     parameters : mapping, optional
-        RotorPy's parameters; by default they describe the scenario's vehicle.
+        RotorPy's parameters; by default those of the declared vehicle.
     frame : BodyFrame, optional
-        Body axes in which the parameters are given.
+        Body axes of these parameters.
     habits : Habits, optional
-        Differences from the equations of the declared model; none by default.
+        Differences from the declared equations; none by default.
 
     Raises
     ------
     ScenarioError
-        If RotorPy is not installed, or if the mission cannot be simulated in it. Reasons are
-        another number of rotors than four, a missing state of the declared quadrotor, wind that
-        acts as an acceleration, and a free duration.
+        If RotorPy is not installed or cannot simulate the mission.
     """
 
     def __init__(
@@ -265,8 +259,8 @@ class OutsidePlant:
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
         """Return the initial joint state of a simulation (see `OutsidePlant`).
 
-        `x` holds the initial declared states, shape (n_states,). `own` holds the initial states of
-        the control law.
+        `x` holds the initial declared states, shape (n_states,). `own` holds the initial own states
+        of the control law.
         """
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
@@ -277,10 +271,10 @@ class OutsidePlant:
         return np.array([*s, *x[self._others], *own, 0.0])
 
     def read(self, joint: FloatArray) -> FloatArray:
-        """Return the declared states, shape (n_states,), from a joint state of the simulation.
+        """Return the declared states, shape (n_states,), from a joint state (see `OutsidePlant`).
 
-        The declared states are those of the scenario's Pyomo model. The yaw angle is within pi of
-        the mean of the mission's initial and final yaw. For the joint state, see `OutsidePlant`.
+        Of the yaw angles that differ by 2 pi, the result has the one nearest to the mean of the
+        mission's initial and final yaw.
         """
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
@@ -326,28 +320,13 @@ class OutsidePlant:
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the states of the control law from a joint state (see `OutsidePlant`)."""
+        """Return the own states of the control law from a joint state (see `OutsidePlant`)."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
-        """Return the time derivative of the simulation's joint state under a control law.
+        """Return the time derivative of a joint state under a control law, shape (n_joint,).
 
-        Declared states are the states of the scenario's Pyomo model.
-
-        Parameters
-        ----------
-        t : float
-            Time [s].
-        joint : ndarray, shape (n_joint,)
-            Joint state at this time (see `OutsidePlant`).
-        law : callable
-            Control law: takes time, all declared states and the law's own states; returns rotor
-            accelerations [rad/s^2] and the time derivatives of the law's own states.
-
-        Returns
-        -------
-        ndarray, shape (n_joint,)
-            Time derivative of each entry of the joint state.
+        `t` is in s. For the joint state, see `OutsidePlant`; for the law, see `OutsideLaw`.
         """
         x = self.read(joint)
         alpha, own_rates = law(t, x, self.own(joint))
@@ -385,40 +364,14 @@ class OutsidePlant:
         integrator: str,
         tolerance: float,
     ) -> Flown:
-        """Simulate RotorPy's vehicle under a control law.
+        """Simulate RotorPy's vehicle under a control law; return samples with the declared states.
 
-        The integration is restarted at each of `borders` or, if `habits` has a rate of commands, at
-        each new command.
-
-        Parameters
-        ----------
-        law : callable
-            Control law: takes time, the states of the scenario's Pyomo model and the law's own
-            states; returns rotor accelerations [rad/s^2] and the time derivatives of the law's own
-            states.
-        start : ndarray, shape (n_states,)
-            States of the scenario's Pyomo model at the start.
-        own : sequence of float
-            Initial values of the law's own states.
-        borders : sequence of float
-            Increasing times [s] between which the law is smooth, with start and end of the flight.
-            If `habits` has a rate of commands, only start and end are used.
-        integrator : str
-            Method of `scipy.integrate.solve_ivp`.
-        tolerance : float
-            Relative tolerance of the integrator.
-
-        Returns
-        -------
-        Flown
-            Samples of the flight, with the states of the scenario's Pyomo model.
-
-        Raises
-        ------
-        SolveError
-            If the vehicle tumbles or the integration fails.
+        The law is smooth between the times `borders` [s], from start to end. `start` has the
+        initial declared states, `own` the initial own states of the law. Raises a SolveError if the
+        simulation fails.
         """
         rate = self.habits.command_rate_hz
+        # Between commands at a constant rate, the law is smooth.
         if rate is not None:
             borders = even_times(borders[0], borders[-1], rate).tolist()
         joint = self.started(start, own)
@@ -515,7 +468,7 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    Zero wind that is given by formulas is accepted. Measured values are always refused.
+    Formulas that give zero wind are accepted. A measured wind is refused even if it is zero.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -546,33 +499,8 @@ def fly_outside(
 ) -> Flight:
     """Simulate a mission with RotorPy's vehicle, and verify the flight by a second integrator.
 
-    The vehicle follows a reference under feedback, or flies the plan's controls in open loop.
-
-    Parameters
-    ----------
-    plant : OutsidePlant
-        RotorPy's vehicle.
-    pilot : Pilot
-        Controller, or open loop.
-    reference : Reference
-        Path that the vehicle follows under feedback.
-    plan : Plan, optional
-        Plan whose controls are flown in open loop, or whose path is the reference. The flight
-        begins in its initial state. If the scenario has no forecast wind, the plan's costates give
-        an estimate of the energy still needed to reach the goal.
-
-    Returns
-    -------
-    Flight
-        The flight. Its name is that of the function `outside_name`. If the two integrators
-        disagree, `Flight.is_verified` is False.
-
-    Raises
-    ------
-    ScenarioError
-        If the reference or the controller needs a plan and none is given.
-    SolveError
-        If the flight is out of control or the integration fails.
+    The flight begins in the initial state of `plan`, if one is given. If the integrators disagree,
+    `Flight.is_verified` is False. Raises a ScenarioError if a required plan is missing.
     """
     scenario = plant.scenario
     own: Sequence[float] = ()
@@ -599,35 +527,9 @@ def fly_under(
 ) -> Flight:
     """Simulate RotorPy's vehicle under a control law, by two integrators for comparison.
 
-    Parameters
-    ----------
-    plant : OutsidePlant
-        RotorPy's vehicle.
-    name : str
-        Name of the flight in comparisons.
-    law : callable
-        Control law: takes time, the states of the scenario's Pyomo model and the law's own states;
-        returns rotor accelerations [rad/s^2] and the time derivatives of the law's own states.
-    plan : Plan, optional
-        Plan in whose initial state the flight begins; by default it begins in hover at the start of
-        the mission. If the scenario has no forecast wind, the plan's costates give an estimate of
-        the energy still needed to reach the goal.
-    own : sequence of float
-        Initial values of the law's own states.
-    borders : sequence of float, optional
-        Increasing times [s] between which a law without feedback is smooth, including start and end
-        of the flight; None for a feedback law.
-
-    Returns
-    -------
-    Flight
-        The flight, with its table and results. If the two integrators disagree, `is_verified` is
-        False.
-
-    Raises
-    ------
-    SolveError
-        If the vehicle tumbles or the integration fails.
+    The flight begins in the initial state of `plan`, by default in hover at the start. `borders`,
+    only for a law without feedback, and `own` are those of `OutsidePlant.fly`. If the integrators
+    disagree, `Flight.is_verified` is False.
     """
     began = perf_counter()
     scenario, dynamics, habits = plant.scenario, plant.dynamics, plant.habits
@@ -662,19 +564,10 @@ def _adaptive(
 
 
 def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> OutsideLaw:
-    """Return RotorPy's geometric controller (SE3) as a control law, with scaled position gains.
+    """Return RotorPy's geometric controller (SE3) as a control law that follows a path.
 
-    Its rotor commands are clipped to the limits of the rotors.
-
-    Parameters
-    ----------
-    plant : OutsidePlant
-        RotorPy's vehicle.
-    path : callable
-        Takes a time [s] and returns the `Setpoint` to follow.
-    stiffness : float, optional
-        Factor on the proportional position gain; the derivative gain is multiplied by the square
-        root of the factor.
+    `stiffness` multiplies the proportional position gain, and its square root the derivative gain.
+    Rotor commands are clipped to the limits of the rotors.
     """
     control = rotorpy_module("controllers.quadrotor_control").SE3Control(plant.parameters)
     control.kp_pos *= stiffness

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 def most_solves() -> int:
     """Return the number of solves of a mission that may run at the same time on this machine.
 
-    It is the number of available cores. It is 1 if this process must not be forked: outside Linux,
-    in a worker process, or if the environment lacks OMP_NUM_THREADS=1.
+    It is the number of available cores, or 1 if this process must not be forked. Forks are not
+    allowed outside Linux, in a worker process, or without OMP_NUM_THREADS=1.
     """
     return processes.cores(os.cpu_count() or 1, use_blas=True)
 
@@ -34,23 +34,10 @@ def most_solves() -> int:
 def solve_side_by_side(
     mission: MissionProblem, solves: Sequence[Callable[[], Solution]]
 ) -> tuple[Solution, ...]:
-    """Carry out solves of a mission, as many at the same time as there are cores.
+    """Carry out solves of a mission in forked processes, as many at a time as there are cores.
 
-    The solutions do not depend on the number of cores. A solve that is stopped returns a result
-    that has not converged.
-
-    Parameters
-    ----------
-    mission : MissionProblem
-        Compiled problem of the mission. Its progress callback, `mission.search`, receives the best
-        usable plan and the work (`Search.work`) of each copy.
-    solves : sequence of callable
-        Functions without arguments, each of which solves the problem of `mission`.
-
-    Returns
-    -------
-    tuple of Solution
-        Results in the order of `solves`, converged or not.
+    The results are in the order of `solves`, and independent of the number of cores. The attribute
+    `search` of the mission receives the work and the best usable plan of each solve.
     """
     # A call from inside one of the solves runs its own solves one after the other.
     if len(solves) < 2 or most_solves() < 2 or _SHARED:
@@ -95,7 +82,8 @@ def solve_side_by_side(
 class _Sent(NamedTuple):
     """Result of a solve in a forked copy of this process, as the copy sends it back.
 
-    `usable` is a new best usable plan, or None. `work` is the increase of `Search.work`.
+    If the solve improved the best usable plan, `usable` is the new plan, otherwise None. `work` is
+    the increase of `Search.work`.
     """
 
     solution: Solution

@@ -60,22 +60,21 @@ class Trajectories:
     Attributes
     ----------
     mesh : Mesh
-        Elements of the time axis with their polynomial degrees; the mesh has n_points collocation
-        points.
+        Mesh with n_points collocation points.
     horizon : (float, float)
         Start and end time [s].
     state_names, control_names, costate_names : tuple of str
-        Names of the columns of `states`, `controls` and `costates`.
+        Names of the columns.
     states : ndarray, shape (n_points + 1, n_states)
-        States at the nodes, which are the start and the collocation points.
+        States at the nodes: the start and the collocation points.
     controls : ndarray, shape (n_points, n_controls)
         Controls at the collocation points.
     energy : ndarray, shape (n_points + 1,)
         Energy spent until each node [J].
     costates : ndarray, shape (n_points, n_costates)
-        Costates at the collocation points, J per unit of the state.
+        Costates at the points, J per unit of the state.
     hamiltonian : ndarray, shape (n_points,)
-        Hamiltonian at the collocation points [W].
+        Hamiltonian at the points [W].
     """
 
     mesh: Mesh
@@ -177,18 +176,17 @@ class PlanStatus(StrEnum):
     VERIFIED
         The simulated flight and the error estimate confirm the plan to the requested accuracy.
     USABLE
-        The simulated flight confirms that the plan arrives, keeps all limits and spends the energy
-        stated. The tolerances, `scenario.accuracy.USABLE`, are those of the lowest accuracy level,
-        except that the flight may end half a metre from the goal. Another flight may need less
-        energy: `Plan.energy_uncertainty` estimates the possible saving.
+        The simulated flight confirms the plan to the wide tolerances `scenario.accuracy.USABLE`;
+        for example, it may end half a metre from the goal. Less energy may be possible, see
+        `Plan.energy_uncertainty`.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED
         The solve did not converge.
     INFEASIBLE
-        The solve found that no flight keeps all limits, or keep-out zones block every route. A
-        mission with several routes has this status if the solve along every route tried is
-        infeasible. A solve on a coarse mesh is enough.
+        The solve found that no flight keeps all limits, or keep-out zones block every route. If
+        there are several routes, this holds for the solve along each route tried, if only on a
+        coarse mesh.
     INTERRUPTED
         The solve was stopped.
     """
@@ -258,19 +256,7 @@ def write_plan_file(
 ) -> None:
     """Write a plan to a file: a compressed archive of arrays, with a description as JSON.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    scenario : Scenario
-        Scenario of the plan.
-    record : PlanRecord
-        Attributes of the plan other than its arrays, as `PlanRecord` lists them.
-    trajectories : Trajectories
-        Arrays of the plan.
-    warm_start : WarmStart or None
-        Variables and multipliers from which another solve can start; not written if it contains
-        infinite numbers.
+    A warm start that contains infinite numbers is not written.
     """
     about = _About(
         format=_FORMAT,
@@ -295,21 +281,8 @@ def write_plan_file(
 def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, WarmStart | None]:
     """Read a plan file and return the scenario, attributes, arrays and warm start of the plan.
 
-    Returns
-    -------
-    Scenario
-        Scenario of the plan.
-    PlanRecord
-        Attributes of the plan other than its arrays.
-    Trajectories
-        Arrays of the plan.
-    WarmStart or None
-        Variables and multipliers from which another solve can start; None if the file has none.
-
-    Raises
-    ------
-    ScenarioError
-        If the file is missing, too large, or not a plan of this version.
+    The warm start is None if the file has none. Raises a ScenarioError if the file is missing, too
+    large, or not a plan of this version.
     """
     try:
         with path.open("rb") as file:
@@ -442,8 +415,8 @@ class Plan(Summarised):
     status : PlanStatus
         Outcome, from verified to failed.
     message : str
-        Reason why the solve ended; for a plan of status `USABLE`, also how closely the simulated
-        flight agrees with it.
+        Reason why the solve ended. For a plan of status `USABLE`, the message also states how
+        closely the simulated flight agrees with the plan.
     energy : float
         Energy of the flight [J], computed by the quadrature of the collocation scheme.
     hover_energy_J : float
@@ -452,17 +425,17 @@ class Plan(Summarised):
         States, controls, energy and costates on the mesh.
     verification : Verification or None
         Comparison of the plan with the simulation of its controls; None if the controls were not
-        simulated, for example because the solve failed.
+        simulated.
     error_estimate : float
-        Estimate of the largest relative error of any state in any element of the mesh. If feedback
-        corrected the controls after the solve, it is at least abs(E - E_least) / E_least. Here E is
+        Estimate of the largest relative error of any state in any element of the mesh. If the
+        verification corrected the controls, it is at least abs(E - E_least) / E_least. Here E is
         the energy of the plan, and E_least the estimated least energy of the mission.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
         Ipopt's progress on the last mesh.
     attempts : tuple of str
-        Planning strategies (such as retries from other initial guesses) that were tried, in order,
+        Planning strategies that were tried (such as retries from other initial guesses), in order,
         with their outcomes.
     failure : Failure or None
         Diagnosis of a failed solve.
@@ -482,9 +455,8 @@ class Plan(Summarised):
     flown : Flown or None
         Samples of the simulated flight of the verification.
     risk : RiskTaken or None
-        Record of the risk for which the plan was made, with margins and test flights. None for a
-        plan without margins, which may use the full thrust and leave the controller none for
-        corrections.
+        Record of the risk, with margins and test flights. None for a plan without margins, which
+        may leave the controller no thrust for corrections.
     """
 
     scenario: Scenario
@@ -609,9 +581,9 @@ class Plan(Summarised):
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """Highest accuracy level, up to the requested one, to which the plan is confirmed.
+        """Highest accuracy level to which simulation and error estimate confirm the plan.
 
-        Simulation and error estimate confirm the level. None if they confirm no level.
+        It is at most the requested level. None if no level is confirmed.
         """
         if self.is_verified:
             return self.scenario.solver.accuracy
@@ -625,9 +597,11 @@ class Plan(Summarised):
         """Estimated fraction of the energy that a better flight near the plan may save.
 
         - Verified plan: its error estimate, or the requested tolerance if that is smaller.
-        - Other plan: the relative change of the objective between the last two meshes. If there are
-          not two meshes, it is the error estimate, which may be infinite. In both cases it is at
-          least the energy tolerance of the accuracy `quick`.
+        - Other plan, several meshes: the relative change of the objective between the last two.
+        - Other plan, one mesh: its error estimate, which may be infinite.
+
+        For a plan that is not verified, the value is at least the energy tolerance of the accuracy
+        `quick`.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -688,8 +662,7 @@ class Plan(Summarised):
         Parameters
         ----------
         final : mapping
-            State name -> final value in the flight; a state that the plan does not have contributes
-            nothing.
+            State name -> final value in the flight; states that the plan lacks are ignored.
 
         Returns
         -------
@@ -726,8 +699,8 @@ class Plan(Summarised):
         Returns
         -------
         DataFrame
-            One column for each quantity of the plan; the tuple `flight.COLUMNS` lists the columns
-            of a quadrotor with their units. The index is the time, "time_s".
+            One column for each quantity; the tuple `flight.COLUMNS` lists those of a quadrotor with
+            their units. The index is the time, "time_s".
 
         Raises
         ------
@@ -904,9 +877,9 @@ class Plan(Summarised):
         Parameters
         ----------
         what : str, default "path"
-            Name of a figure of the plan's report, such as "path", "states", "controls", "energy",
-            "motors", "battery", "wind", "way" or "mesh"; or a column of `to_frame`, which is drawn
-            over time. The error message for an unknown name lists all names.
+            Name of a figure: "path", "states", "controls", "energy", "motors", "battery", "wind",
+            "way", "mesh" and others. If `what` is a column of `to_frame`, this column is drawn over
+            time. The error message for an unknown name lists all names.
 
         Returns
         -------
@@ -917,8 +890,8 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If the plan has no figure and no column of this name, or was loaded from a file, which
-            does not contain equations.
+            If the name is unknown, or if the plan was loaded from a file, which does not contain
+            equations.
 
         Examples
         --------
@@ -934,7 +907,7 @@ class Plan(Summarised):
         ----------
         folder : str or Path
             Folder for the report, which is new, empty or holds an earlier report. The new report
-            appears in the folder complete or not at all.
+            appears there only when it is complete.
         figures : {"svg", "png", "all", "none"}, optional
             Formats of the figures.
 

@@ -42,8 +42,9 @@ class Planner(Problems):
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
         """Return a context manager for a series of solves that the user may stop together.
 
-        Its ``as`` variable is a function that returns whether the user has stopped the series. Here
-        the function always returns False. A subclass for the command line asks for Ctrl-C.
+        The variable after ``as`` is a function that returns whether the user has stopped the
+        series. Here the function always returns False. A subclass for the command line asks for
+        Ctrl-C.
         """
         return nullcontext(lambda: False)
 
@@ -64,9 +65,9 @@ class Planner(Problems):
         warm_start : Plan or WarmStart, optional
             A plan of a similar scenario, or the initial point (warm start) that a plan file or a
             sweep has stored. The solve starts from its trajectory, and from its multipliers if both
-            problems have the same equations. Candidate routes are then not compared. It has no
-            effect if the order of the waypoints is open. In a mission of least time, it is used
-            only if the minimum-time problem fails.
+            problems have the same equations. Candidate routes are then not compared. If the order
+            of the waypoints is open, the warm start is ignored. In a mission of least time, it is
+            used only if the minimum-time problem fails.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -80,7 +81,8 @@ class Planner(Problems):
             requested. If there is none, the plan has a failed status.
 
             The time limit is `solver.time_limit` of the scenario, in processor time including
-            verification. Apart from the time limit, no result depends on the speed of the machine.
+            verification. The result depends on the speed of the machine only if this limit is
+            exceeded.
 
         Raises
         ------
@@ -161,8 +163,7 @@ def solve_scenario(
     builder : callable, optional
         Takes a scenario and builds its Pyomo model; `build_model` by default.
     warm_start : Plan or WarmStart, optional
-        A plan of a similar scenario, or the initial point (warm start) that a plan file or a sweep
-        has stored. The solve starts from this plan or point.
+        Initial point: a plan of a similar scenario, or what a plan file or a sweep has stored.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
 

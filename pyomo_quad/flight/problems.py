@@ -31,7 +31,7 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return a key that is equal for scenarios of fixed duration with the same initial states."""
+    """Return a key for scenarios of fixed duration; equal keys mean equal initial states."""
     # Duration, wind and settings of baseline flights do not affect the initial states.
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -119,7 +119,7 @@ class Problems:
         """Return the calculator of steady flight of a scenario's vehicle in still air.
 
         A user's own model may have states that the mission does not define. `known` maps their
-        names to initial values. It has no effect if the scenario's calculator is cached already.
+        names to initial values. A calculator that is cached already keeps its earlier values.
         """
         steady = self._steady.get(scenario)
         if steady is None:
@@ -140,8 +140,7 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The limits of the equations are wider than those of plans. A plan leaves the controller a
-        reserve of rotor speed and thrust, which a simulated flight may use.
+        Their limits on rotor speed and thrust include the reserve that plans leave the controller.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):

@@ -53,36 +53,11 @@ def refuse_unproven(
     *,
     is_code_allowed: bool = False,
 ) -> None:
-    """Raise an error if simulation with the mission's equations does not confirm a plan.
+    """Raise a ScenarioError if simulation with the mission's equations does not confirm a plan.
 
-    Initial and final state of the plan are compared with the mission only if the scenario has no
-    model of the user.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario of the plan.
-    planned : Trajectories
-        The plan. A state that only the plan has is ignored. A state that only the equations have
-        starts from the value that the mission prescribes.
-    energy : float
-        Energy of the whole flight, as stated by the plan [J].
-    passing_times_s : tuple of float
-        Time at which the plan passes each waypoint [s].
-    allowed : Figures
-        Largest differences allowed between the plan and its simulated flight. The tolerance `miss`
-        applies to every state at all times, and to the waypoints.
-    dynamics : Dynamics, optional
-        The plan's equations, if available; otherwise the scenario is compiled.
-    is_code_allowed : bool, optional
-        Whether the user's own code may be run to build the scenario's model. If False, a scenario
-        whose model needs such code raises a ScenarioError. Not used if `dynamics` is given.
-
-    Raises
-    ------
-    ScenarioError
-        If simulation does not confirm the plan; the message names the quantity, its deviation and
-        the tolerance.
+    The plan states `energy` [J] and `passing_times_s`. The tolerance `allowed.miss` applies to all
+    states throughout the flight, and to waypoints. Without `dynamics`, the scenario is compiled; a
+    user's own model then requires `is_code_allowed`.
     """
     _refuse_other_times(scenario, planned, passing_times_s)
     builder: Builder = build_model
@@ -115,7 +90,7 @@ def refuse_unproven(
 def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowed: Figures) -> None:
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by too much.
 
-    `allowed` has the tolerances; its absolute tolerance `intrusion` is not applied.
+    The tolerances are those in `allowed`, except for its absolute tolerance `intrusion`.
     """
     # The absolute tolerance on zones, floor, ceiling and fence [m] is too strict for the rounded
     # controls of a plan that was read from a table.
@@ -183,24 +158,10 @@ def _refuse_other_times(
 
 
 def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> Trajectories:
-    """Return a plan whose states and controls are in the order of given equations.
+    """Return a plan whose states and controls are those of given equations, in their order.
 
-    A state that is missing in the plan gets the mission's initial value at the start, and NaN
-    afterwards.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, which gives the initial values of missing states.
-    planned : Trajectories
-        The plan.
-    dynamics : Dynamics
-        Equations whose order of states and controls is required.
-
-    Raises
-    ------
-    ScenarioError
-        If the plan lacks a control, or if the mission lacks the initial value of a missing state.
+    A state that the plan lacks gets the mission's initial value, and NaN after the start. Raises a
+    ScenarioError if the mission lacks this value, or the plan lacks a control.
     """
     missing = set(dynamics.control_names) - set(planned.control_names)
     if missing:
@@ -211,6 +172,7 @@ def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> T
     start = declared_start(scenario, dynamics)
     states = np.full((len(planned.states), len(dynamics.state_names)), np.nan)
     for k, name in enumerate(dynamics.state_names):
+        # A state that only the plan has is left out.
         if name in planned.state_names:
             states[:, k] = planned.states[:, planned.state_names.index(name)]
         elif name in start:

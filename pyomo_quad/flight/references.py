@@ -1,7 +1,7 @@
 """Reference paths: position and yaw as functions of time for the controller to follow.
 
 reference | path | conditions at start and goal
-step | constant position: the goal or, before it, the waypoints in turn | none
+step | constant position: each waypoint in turn, then the goal | none
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
 plan | the optimal plan, as cubic splines through its samples | the states of the plan
@@ -40,8 +40,8 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    If the reference path is a plan, `acceleration` excludes the acceleration that the plan expects
-    from the air, and `tilting` is given. Other reference paths ignore the air and the attitude.
+    Only a plan as reference path includes the acceleration by the air and the attitude. Then
+    `acceleration` excludes the acceleration by the air, and `tilting` is given.
     """
 
     place: Sequence[float]
@@ -122,9 +122,8 @@ class WaypointPath:
     mission : Mission
         Mission with a time for each waypoint and a fixed duration.
     derivatives : int
-        Number n of time derivatives of the position that are zero at rest, counted from the
-        velocity. The spline has degree 2 n + 1. It minimises the integral of the squared derivative
-        of order n + 1. For example, n = 2 gives degree 5 and the least squared jerk.
+        Number n of derivatives (velocity, acceleration, ...) that are zero at rest. The spline of
+        degree 2 n + 1 minimises the integral of the squared derivative of order n + 1.
     """
 
     def __init__(self, mission: Mission, derivatives: int) -> None:
@@ -154,7 +153,7 @@ class WaypointPath:
 class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    It jumps when the vehicle is to leave a waypoint, at the end of its hover.
+    It jumps to the next place at the end of the hover at a waypoint, or at its passing time.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -168,15 +167,10 @@ class _Steps:
 
 
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
-    """Return the places of a mission in order, and the times [s] at which they are to be reached.
+    """Return the places of a mission in order, and the times [s] at which to reach them.
 
-    Each place is a list of x, y, z [m] and yaw [rad]. A yaw that is not prescribed is interpolated
-    in time.
-
-    Raises
-    ------
-    ScenarioError
-        If the time of a waypoint, or the duration, is free.
+    A place is x, y, z [m] and yaw [rad]. A yaw that is not prescribed is interpolated in time.
+    Raises a ScenarioError if one of the times is free.
     """
     times = [0.0]
     for k, waypoint in enumerate(mission.waypoints):
@@ -249,25 +243,23 @@ class SampledPath:
         """Return the setpoint at time t [s].
 
         Outside the samples, the setpoint is constant: it has the position and acceleration of the
-        nearest sample, and zero velocity. A controller that looks ahead needs setpoints for times
-        after the last sample.
+        nearest sample, and zero velocity.
         """
         row, is_inside = self._row(t)
+        # A controller that looks ahead needs setpoints for times after the last sample.
         return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
 
 
 class PlannedPath:
     """Plan as a reference path: a separate cubic spline through the samples of each quantity.
 
-    Velocities and accelerations have their own splines through planned values.
-
     Parameters
     ----------
     times : ndarray, shape (n,)
         Increasing times [s].
     values, rates, accelerations : ndarray, shape (n, 4)
-        Samples of x, y, z [m] and yaw [rad] in columns, their first time derivatives, and the part
-        of their second time derivatives that the rotors cause.
+        Samples of x, y, z [m] and yaw [rad] in columns, and their time derivatives. The second
+        derivatives are without the acceleration by the air.
     tilt_rates : ndarray, shape (n, 2)
         Rates of roll and pitch [rad/s].
     """

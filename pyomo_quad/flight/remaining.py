@@ -1,10 +1,9 @@
 """Solves of the remaining mission during a flight (re-planning), with soft limits.
 
 A re-plan is a new plan for the rest of the mission, made in flight. It ends at the goal, or in the
-next hover at a waypoint. Its limits may be violated at a penalty (see `model.soft_limits`).
-
-The remaining mission after each waypoint has its own equations, compiled and solved once before
-take-off. For penalty and initial state, see docs/theory/soft_limits.md, eqs. (1) to (3).
+next hover at a waypoint. Its limits may be violated at a penalty (see `model.soft_limits`). The
+equations of the flight after each waypoint are compiled once, before take-off. For penalty and
+initial state, see docs/theory/soft_limits.md, eqs. (1) to (3).
 """
 
 from collections.abc import Callable, Mapping
@@ -111,7 +110,7 @@ class Belief:
     """Estimates that a plan made in flight is based on: mass and acceleration by the air.
 
     `mass` includes the payload at take-off [kg]. `unexplained` is the horizontal acceleration by
-    the air that the assumed wind does not explain, along world x and y [m/s^2].
+    the air in excess of that by the assumed wind, along world x and y [m/s^2].
     """
 
     mass: float
@@ -141,7 +140,7 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time [s] after which no new plan is made until the next waypoint or the end.
+        """Latest time [s] at which a new plan may begin, before the next waypoint or the end.
 
         After this time the vehicle follows its last plan.
         """
@@ -222,11 +221,10 @@ class Course:
     path : PlannedPath
         The plan as a reference path of the controller.
     belief : Belief
-        Mass and acceleration by the air that the plan assumes.
+        Mass and acceleration by the air that the plan assumes, from `estimate`.
     estimate : ndarray, shape (3,)
-        Estimated acceleration along the world axes [m/s^2], at the time of the plan's solve, that
-        the equations assumed before take-off (`Replanner.dynamics`) do not explain. The equations
-        of the plan include it, through `belief`.
+        Estimate at the time of the solve: acceleration along world axes minus that by the equations
+        `Replanner.dynamics` [m/s^2].
     """
 
     plan: Trajectories
@@ -238,20 +236,18 @@ class Course:
 class Replanner:
     """Solver of the remaining mission in flight, with the present estimates of mass and wind.
 
-    Each solution is a re-plan: a new plan for the rest of the mission, made in flight.
-
     Parameters
     ----------
     scenario : Scenario
         The mission, and the vehicle as assumed by the controller.
     knowledge : Knowledge
-        Knowledge of the wind in the re-plans: the actual wind, the forecast corrected by an
-        estimate, or the forecast alone. If the scenario has no forecast, calm air takes its place.
+        Wind that re-plans assume: the actual wind, the forecast corrected by an estimate, or the
+        forecast alone. Calm air replaces a missing forecast.
     planner : Planner
         Planner that compiles the equations.
     margins : mapping, optional
-        Scenario field -> amount by which its limit is tightened for the plan made before take-off.
-        Re-plans have the same margins, but may use the full rotor speed and thrust.
+        Scenario field -> amount by which its limit is tightened. Re-plans may use the full rotor
+        speed and thrust.
 
     Raises
     ------
@@ -332,12 +328,11 @@ class Replanner:
         return trajectories_of(found)
 
     def prepare(self, plan: Trajectories) -> None:
-        """Solve the remaining missions before take-off, for initial guesses of solves in flight.
+        """Solve the remaining missions before take-off, as initial points of the solves in flight.
 
-        `plan` is the plan made before take-off. The converged solutions are stored, as starting
-        points of `solve`. The penalty on violations is increased until the solutions keep the
-        limits, see docs/theory/soft_limits.md, eq. (2). If three increases are not enough, the
-        penalty gets its former value again.
+        `plan` is the plan made before take-off. The penalty on violations is increased until the
+        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If three increases do not
+        suffice, it keeps its former value.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -353,32 +348,11 @@ class Replanner:
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution:
-        """Solve the remaining mission from a given state, for a new plan in flight (re-plan).
+        """Solve the remaining mission from a given state at time t [s], for a re-plan.
 
-        The solve starts from the last converged solution of the same remaining mission. A converged
-        result replaces it.
-
-        Parameters
-        ----------
-        t : float
-            Start of the re-plan [s].
-        state : ndarray, shape (n_states,)
-            State at time `t`. The order of the states is that of the attribute `dynamics`, the
-            equations of the whole mission.
-        belief : Belief
-            Estimated mass and wind.
-        is_patient : bool, optional
-            Whether the solve may take as many iterations as a solve before take-off.
-
-        Returns
-        -------
-        Solution
-            Result, converged or not.
-
-        Raises
-        ------
-        TranscriptionError
-            If the state is outside the hard limits of rotors and battery.
+        The solve starts from the last converged solution. If `is_patient`, it has as many
+        iterations as before take-off. `state` has the order of `dynamics`. Raises a
+        TranscriptionError if it is outside the hard limits of rotors and battery.
         """
         rest = self.at(t)
         last = self._last.get(rest)
@@ -432,15 +406,8 @@ class Replanner:
     def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
         """Return a re-plan (new plan in flight) with its reference path for the controller.
 
-        Parameters
-        ----------
-        solution : Solution
-            Solution from which the re-plan is made.
-        belief : Belief
-            Mass and acceleration by the air that the re-plan assumes.
-        estimate : ndarray, shape (3,)
-            Estimated acceleration that the equations assumed before take-off, `dynamics`, do not
-            explain [m/s^2]. `belief` was computed from this estimate.
+        `belief` has the mass and the acceleration by the air that the re-plan assumes. `estimate`
+        is stored as `Course.estimate`.
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
@@ -456,11 +423,10 @@ class Replanner:
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight has used up its margin to any limit.
+        """Return whether a flight has used up its margin to any limit in `margins.FIELDS`.
 
-        A margin is used up if the vehicle is nearer to the limit than its plan by more than the
-        margin. This also holds for limits in `margins.FIELDS` whose margin is zero. `state`, shape
-        (n_states,), is measured at time t [s].
+        A margin, possibly zero, is used up if the vehicle is nearer to the limit than its plan by
+        more than the margin. `state`, shape (n_states,), is measured at time t [s].
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -478,28 +444,11 @@ class Replanner:
     def begun(
         self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Predict the state from which the next re-plan (new plan in flight) starts.
+        """Predict the state at time `end` [s], from which the next re-plan starts.
 
-        It is the planned state, moved towards the measured state just far enough for the controller
-        to correct the remaining deviation; see docs/theory/soft_limits.md, eq. (3). Tilt and rotor
-        speeds are changed so that the thrust balances `unexplained`.
-
-        Parameters
-        ----------
-        course : Course
-            The present plan.
-        start, end : float
-            Time of the measurement, and time at which the re-plan takes over [s].
-        state : ndarray, shape (n_states,)
-            Measured state.
-        unexplained : ndarray, shape (3,)
-            Estimated acceleration that the plan does not include [m/s^2]: the present estimate
-            minus `course.estimate`.
-
-        Returns
-        -------
-        ndarray, shape (n_states,)
-            State at the time `end`.
+        The planned state is moved towards the state measured at `start`, until the controller can
+        correct the remaining deviation: docs/theory/soft_limits.md, eq. (3). The thrust of the
+        result balances `unexplained`, the present estimate minus `course.estimate`.
         """
         planned, later = self._states(course.plan, start, end)
         self._balance_added_acceleration(later, course.path(end), unexplained)
@@ -544,7 +493,7 @@ class Replanner:
 def breach_of(solution: Solution) -> float:
     """Return the largest violation of a soft limit in the solution of a re-plan (plan in flight).
 
-    Soft limits may be violated at a penalty. Each violation is in the unit of its limit.
+    It is the largest number, whatever the units of the limits (m, rad, ...).
     """
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
@@ -582,7 +531,7 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    If this mission has a hover at a waypoint, it ends during the first hover.
+    It ends at the goal or, if hovers remain, during the first of them.
     """
     mission = believed.mission
     left = mission.waypoints[k:]

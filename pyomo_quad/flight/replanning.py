@@ -1,11 +1,11 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-At constant intervals during a simulated flight, the rest of the mission is solved for a new plan,
-called a re-plan. It begins when its solve is expected to end. A controller with adaptation follows
+At constant intervals during a simulated flight, the rest of the mission is solved for a re-plan.
+The re-plan begins at the time at which its solve is expected to end. An adaptive controller follows
 the newest plan, at first the plan made before take-off.
 
-The limits of a re-plan are soft, so that a solution exists whenever rotors and battery can reach
-the goal. See docs/theory/soft_limits.md.
+Re-plans have soft limits, so that they exist if rotors and battery can reach the goal. See
+docs/theory/soft_limits.md.
 """
 
 from collections.abc import Callable
@@ -92,7 +92,7 @@ class _Leg:
 
 
 class _Observer:
-    """Estimator of the acceleration that the equations assumed before take-off do not explain.
+    """Estimator of the acceleration in excess of that by the equations assumed before take-off.
 
     These equations are `Replanner.dynamics`. The estimator applies the adaptation law of the
     controller to the measured states.
@@ -225,6 +225,7 @@ class _ReplannedFlight:
         plan: Plan | None,
     ) -> None:
         self._settings, self._computer, self._replanner = settings, computer, replanner
+        # Re-plans in the forecast wind alone use no estimates of mass and acceleration.
         self._is_observing = knowledge is not Knowledge.UNTOLD
         self._end = scenario.mission.fixed_duration
         self._aircraft = _Aircraft(scenario, replanner, dynamics)
@@ -367,44 +368,9 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    Each part along one plan is simulated a second time with another integrator. If the two
-    simulations of a part disagree, `Flight.is_verified` is False.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, and the vehicle as assumed by controller and re-plans.
-    knowledge : Knowledge
-        Wind that the re-plans assume: the actual wind, the forecast corrected by an estimate, or
-        the forecast alone (calm air if there is none). In the first two cases, re-plans also use
-        estimates of the mass and of the acceleration by the air.
-    dynamics : Dynamics
-        The simulated vehicle, in the actual wind.
-    planner : Planner
-        Planner that compiles the equations.
-    plan : Plan, optional
-        Plan made before take-off, whose margins (amounts by which limits are tightened) the
-        re-plans share. Without it, or if the re-plans assume another wind than the forecast, the
-        mission is planned again before take-off. If the scenario has no forecast wind, the costates
-        of `plan` give an estimate of the energy still needed to reach the goal.
-    computer : callable, optional
-        Takes the processor time of a solve on this machine [s]; returns the time that the solve
-        takes aboard [s]. The default returns the solve time that the scenario states or, if the
-        scenario asks for the measured time, the processor time.
-
-    Returns
-    -------
-    Flight
-        The flight; its attribute `resolves` is the record of the solves.
-
-    Raises
-    ------
-    ScenarioError
-        If the vehicle model `dynamics` lacks a state that the controller measures (position,
-        velocity, attitude or body rates), if `planner` uses a user's own model, or if a waypoint
-        has no time.
-    SolveError
-        If the solve before take-off fails, or the flight is out of control.
+    `dynamics` is the vehicle in the actual wind. If `plan` is None or assumes another wind than
+    `knowledge`, a plan is first made before take-off. `computer` maps the processor time of a solve
+    to its time aboard [s]. Raises a SolveError if the flight is out of control.
     """
     began = perf_counter()
     refuse_other_vehicles(scenario, dynamics)

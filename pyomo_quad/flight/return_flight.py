@@ -1,9 +1,9 @@
 """Airspeed and battery currents of a vehicle's steady return flight.
 
-A mission may reserve battery charge for a return to the start or to a rally point. The airspeed of
-the return minimises the charge per metre over the ground, against the wind at the start of the
-mission. The current is evaluated at the lowest state of charge that the return may reach, where the
-voltage is lowest. Over terrain the return begins with a climb. See docs/theory/homing.md.
+A mission may reserve battery charge for a return to the start or to a rally point. The airspeed
+minimises the charge per metre over the ground, against the wind at the mission's start. The current
+is that at the lowest allowed state of charge, where the voltage is lowest. Over terrain the return
+begins with a climb. See docs/theory/homing.md.
 """
 
 from typing import TYPE_CHECKING
@@ -29,13 +29,8 @@ _SECONDS_PER_HOUR = 3600.0
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and battery currents of the return flight filled in.
 
-    Values that the scenario gives are kept. The current of the climb is filled in only over
-    terrain. A scenario without `mission.return_reserve` is returned unchanged.
-
-    Raises
-    ------
-    SolveError
-        If the vehicle or its pack cannot fly against the wind, or cannot climb over terrain.
+    Given values are kept. The current of the climb is filled in only over terrain, and nothing
+    without `mission.return_reserve`. Raises a SolveError if the vehicle or its pack is too weak.
     """
     mission = scenario.mission
     told = mission.return_flight
@@ -80,15 +75,10 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 
 
 def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
-    """Return the battery current [A] of the return flight's climb at the lowest charge allowed.
+    """Return the battery current [A] of the climb of a return flight, at the lowest charge allowed.
 
     It is the greater of the currents at zero airspeed and at `airspeed` [m/s]; see
-    docs/theory/homing.md, eq. (10).
-
-    Raises
-    ------
-    SolveError
-        If the vehicle or its pack cannot climb at `mission.return_flight.climb_rate`.
+    docs/theory/homing.md, eq. (10). Raises a SolveError if the climb is impossible.
     """
     rate = scenario.mission.return_flight.climb_rate
     return max(_current(scenario, steady, level, rate) for level in (0.0, airspeed))

@@ -1,9 +1,8 @@
 """Planning of flights that break limits with at most an allowed probability, the allowed risk.
 
-The risk of a plan is the probability that a flight in turbulence breaks any limit. To reduce it,
-limits are tightened for the plan by margins, which a search finds. With a controller that is too
-slow, flights break limits too often, whatever the margins. If such a controller has the default
-gains, the search is repeated with faster gains. See docs/theory/risk.md.
+The risk of a plan is the probability that a flight in turbulence breaks any limit. To reduce it, a
+search finds margins by which the plan tightens limits. If the default gains of the controller are
+too slow for any margins, the search is repeated with faster gains. See docs/theory/risk.md.
 """
 
 from dataclasses import replace
@@ -24,11 +23,10 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 
 
 def risk_asked(scenario: Scenario) -> float:
-    """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
+    """Return the allowed risk that the scenario states, or else a default.
 
-    A risk that the scenario states is returned. Otherwise the result is `_USUAL_RISK` for a free
-    duration, and 1 (any risk) for a prescribed duration. For the simplified attitude equations of
-    Yacef et al., it is 1, too.
+    The default is 1 (any risk) if the duration is prescribed, or for the simplified attitude
+    equations of Yacef et al. Otherwise it is `_USUAL_RISK`.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -45,30 +43,8 @@ def plan_at_risk(
 ) -> Plan:
     """Solve a scenario for a plan whose margins are large enough for the allowed risk.
 
-    The risk is the probability that a flight in turbulence breaks any limit. Margins are the
-    amounts by which limits are tightened for the plan.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission; its `mission.risk` states the allowed risk.
-    planner : Planner
-        Planner that solves the scenario.
-    progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve.
-    **solve
-        Further arguments of `Planner.solve` for the plan without margins.
-
-    Returns
-    -------
-    Plan
-        Plan whose attribute `risk` records margins and test flights. If the allowed risk is not
-        reached, or if the search is stopped, it is the plan of least risk that was found. Its
-        scenario has the controller gains `risk.gains`, if these are not empty.
-
-        The result is the plan of `Planner.solve` without margins in three cases: any risk is
-        allowed (`risk = 1`), the plan is not flyable, or the model is a user's own. If the
-        scenario states a risk for a user's own model, `Plan.risk` says why there are no margins.
+    If no such plan is found, the result is the plan of least risk. There are no margins if any risk
+    is allowed, the plan is not flyable, or the model is a user's own.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
@@ -81,6 +57,7 @@ def plan_at_risk(
 
         search, found = search_from(paper), list[Plan]()
         if planner.builder is not build_model:
+            # If a risk is stated, the record `Plan.risk` says why there are no margins.
             is_stated = scenario.mission.risk is not None
             return search.unfinished(_OWN_MODEL) if is_stated else paper
         if is_stopped():

@@ -1,12 +1,12 @@
 """Solves along candidate routes: cost estimates, coarse solves, and refinement of the best.
 
-A journey is a sequence of routes, one for each leg between waypoints. The best journey is found in
-these steps (docs/theory/routes.md):
+A journey is a sequence of routes, one for each leg from waypoint to waypoint. The best one is found
+in these steps (docs/theory/routes.md):
 
 - Journeys of high estimated cost are left out.
-- The mission is solved along the others, on one coarse mesh.
-- The best solutions are solved again on a finer mesh.
-- The best of these are refined to the tolerance of the mission.
+- The others are solved on a coarse mesh.
+- The best are solved again on a finer mesh.
+- The best of these are refined to the tolerance.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -70,14 +70,13 @@ class RouteFlights:
     mission : MissionProblem
         Compiled problem of the mission.
     known : Solution, optional
-        Solution along the shortest journey on the coarse mesh, if it has been computed already.
+        Known solution along the shortest journey on the coarse mesh.
 
     Attributes
     ----------
     has_several_optima : bool
-        Whether a journey may have several local optima, which differ in duration. This is the case
-        for flights of free duration through a wind field without waypoints. The mission is then
-        solved from several initial guesses.
+        Whether a flight of free duration leads through a wind field without waypoints. It may then
+        have several local optima, and is solved from several initial guesses.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -104,24 +103,9 @@ class RouteFlights:
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along candidate journeys; return the best solution and all results.
 
-        A journey is a sequence of routes, one for each leg from one waypoint to the next.
-
-        Parameters
-        ----------
-        most : int, optional
-            Largest number of journeys, of which the shortest are taken; by default
-            `routes.MOST_ROUTES`. In a wind field, the default is to take the journeys of least
-            energy in steady flight through the wind, and the shortest journey.
-
-        Returns
-        -------
-        Solution
-            The best solution, refined to the mission's tolerance, or a failed one if no solve
-            converges. If keep-out zones block every journey, its status is infeasible and its
-            message names the zones.
-        tuple of TriedRoute
-            Result for each journey that was not left out (see `compared`); empty if zones block
-            every journey.
+        The journeys are the `most` shortest, by default `routes.MOST_ROUTES`. In a wind field, the
+        default is those of least energy in steady flight. If zones block every journey, the
+        solution is infeasible.
         """
         try:
             journeys = self._journeys(most)
@@ -131,19 +115,11 @@ class RouteFlights:
         return self.compared(journeys)
 
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve the mission along given journeys on one mesh, and refine the best solutions.
+        """Solve the mission along given journeys; return the best solution and the result of each.
 
-        A journey is a sequence of routes, one for each leg. If two journeys lead to the same
-        solution, the later one is left out. A journey is also left out if a known solution is as
-        good as any along it (docs/theory/routes.md, eq. (1)).
-
-        Returns
-        -------
-        Solution
-            The best solution, refined to the mission's tolerance, or a failed one if no solve
-            converges.
-        tuple of TriedRoute
-            Result of the solve along each journey that was not left out.
+        The best solution is refined, or failed if no solve converges. Journeys are left out if an
+        earlier one has the same solution, or a solution that dominates theirs
+        (docs/theory/routes.md, eq. (1)).
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey, solution in self._each_flown(journeys):
@@ -200,8 +176,8 @@ class RouteFlights:
     def _near(self, known: dict[int, Solution]) -> list[int]:
         """Solve along the cheapest journeys again, on a finer mesh; return the numbers of the best.
 
-        In `known` (number of a journey -> solution), finer solutions replace coarse ones, and
-        duplicates are removed.
+        `known` (number of a journey -> solution) is changed in place: finer solutions replace
+        coarse ones, and duplicates are deleted.
         """
         near = _nearest(known, self._near_on_first, self._most(_MOST_ON_NEXT, self._near_on_first))
         if len(near) < 2:
@@ -218,7 +194,7 @@ class RouteFlights:
     def _most(self, most: int, error: float) -> int:
         """Return the largest number of journeys to solve again on a finer mesh: 1 or `most`.
 
-        `error` is the relative error of the energies on the present mesh.
+        It is 1 if `error`, the relative error of the energies, is within the mission's tolerance.
         """
         # With an error above the energy tolerance, journeys of similar energy cannot be ranked yet.
         # Otherwise the cheapest journey is already known to within the tolerance.
@@ -330,20 +306,9 @@ class RouteFlights:
     ) -> Solution:
         """Solve the mission from an initial guess along a journey, on the mesh for comparisons.
 
-        If the solve fails and a waypoint has a radius or a speed limit, it is repeated with the
-        default `guess` and `options`. The guess is then improved by solving an easier mission,
-        exactly through the waypoints. All later calls improve the guess in this way.
-
-        Parameters
-        ----------
-        journey : tuple of Route
-            A route for each leg of the mission, from one waypoint to the next.
-        guess : mapping, optional
-            The initial guess; by default a flight along the lines of the journey in the nominal
-            duration of the mission.
-        options : SolverOptions, optional
-            Ipopt's options; by default those of `_rough_options`, with a small barrier parameter if
-            the journey may have several optima.
+        The default guess follows the lines of the journey in the nominal duration. If a solve
+        fails, it and all later solves start from the easier mission
+        `MissionProblem.past_waypoints`, if there is one.
         """
         told, mission = self._scenario, self._mission
         if guess is None:
@@ -359,6 +324,7 @@ class RouteFlights:
             guess = begun.trajectory if begun.status.is_solved else guess
         if options is None:
             options = self._rough_options()
+            # With a small barrier parameter, iterates stay near the guess, one of several optima.
             options = options.from_a_flight() if self.has_several_optima else options
         rough = mission.solve_roughly(mesh=self._mesh, guess=guess, options=options)
         is_new = rough.status.has_failed and not self._is_plain
@@ -389,7 +355,7 @@ class RouteFlights:
     def _faster(self, flown: Solution) -> Solution:
         """Solve again from faster flights along the best solution, until the cost falls no more.
 
-        `flown` is the first of these solutions. See docs/theory/routes.md.
+        `flown` is the solution with which the search begins. See docs/theory/routes.md.
         """
         best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):
@@ -405,17 +371,8 @@ class RouteFlights:
     ) -> Solution:
         """Solve the mission again from the path of a solution, flown in another time.
 
-        The solve uses the mesh on which journeys are compared.
-
-        Parameters
-        ----------
-        flown : Solution
-            A solution of this mission, whose end time is free.
-        share : float
-            Duration of the initial guess, relative to that of the solution.
-        options : SolverOptions, optional
-            Ipopt's options, whose limit of iterations is lowered; by default those of
-            `_rough_options`.
+        The initial guess lasts `share` times as long as `flown`; the end time of the mission is
+        free. The default of `options`, whose limit of iterations is lowered, is `_rough_options`.
         """
         guess, chosen = guess_from(flown, share), options or self._rough_options()
         return self._mission.solve_roughly(
@@ -431,7 +388,7 @@ class RouteFlights:
         return options
 
     def _fly_beside(self, journey: Journey) -> Solution:
-        """Solve along one of several journeys, independently of the solves along the others."""
+        """Solve along one of several journeys; a failure does not affect the other solves."""
         # After a failed solve, `fly` sets this flag, with which it solves an easier mission first
         # for every later journey.
         is_plain = self._is_plain
@@ -440,19 +397,11 @@ class RouteFlights:
         return solution
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine the mesh of a solution and solve again, with a limited number of meshes.
+        """Refine the mesh of a solution and solve again, on at most `meshes` meshes.
 
-        Without regeneration, the solve uses the easiest parameter values or, if `meshes` is None,
-        continuation (`MissionProblem.solve_from`). With regeneration, `flown` is returned unchanged
-        if the scenario allows no refinement.
-
-        Parameters
-        ----------
-        flown : Solution
-            Solution on its present mesh.
-        meshes : int or None
-            Largest number of meshes, including the present mesh; None to refine the mesh to the
-            mission's tolerance.
+        The present mesh is counted. If `meshes` is None, the mesh is refined to the mission's
+        tolerance. With regeneration, the solution is returned unchanged if the scenario allows no
+        refinement.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -462,6 +411,7 @@ class RouteFlights:
         few = {} if meshes is None else {"max_meshes": meshes}
         if flown.status.is_solved and not mission.easier:
             return mission.go_on(flown, **few)
+        # Without regeneration, a limited number of meshes has the easiest parameter values.
         return mission.solve(
             next(iter(mission.easier), None) if few else None,
             mesh=flown.mesh,
@@ -481,15 +431,8 @@ def promising(
 ) -> tuple[Journey, ...]:
     """Return the journeys whose estimated cost is at most 1 % above the least estimated cost.
 
-    A journey is a sequence of routes, one for each leg from one waypoint to the next.
-
-    Parameters
-    ----------
-    journeys : sequence of tuple of Route
-        The journeys to compare.
-    cost_per_metre : callable
-        Takes the unit vector of a direction, shape (3,). Returns the cost per metre of steady
-        flight in this direction [J/m], infinite if there is no steady flight.
+    `cost_per_metre` takes a unit vector, shape (3,). It returns the cost of steady flight in this
+    direction [J/m], infinite if there is none.
     """
     known: dict[tuple[float, ...], float] = {}
 
@@ -523,23 +466,9 @@ def guess_along(
 ) -> dict[str, Any]:
     """Return positions and velocities along a journey, as an initial guess of a solve.
 
-    Parameters
-    ----------
-    journey : tuple of Route
-        A route for each leg of the mission.
-    times : sequence of float
-        Times at which each waypoint is reached and left, in order, and the end time [s].
-    is_open : bool, optional
-        Whether the end time is free. The values under "time" are then fractions of the horizon.
-    is_even : bool, optional
-        Whether the speed along each leg is constant. Otherwise each leg begins and ends at rest.
-
-    Returns
-    -------
-    dict
-        "time" -> times of the samples [s], shape (n,). Name of each state of position and velocity
-        -> its samples, shape (n,). If the end time is free and there is one leg, also "duration" ->
-        the end time [s].
+    The result has samples of "time" [s] and of states. `times` [s] has arrival and departure at
+    each waypoint, and the end. If `is_open`, "time" has fractions, and a single leg adds "duration"
+    [s]. If `is_even`, legs are flown at constant speed, otherwise from rest to rest.
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
@@ -560,19 +489,8 @@ def guess_along(
 def guess_from(flown: Solution, share: float) -> dict[str, Any]:
     """Return the path of a solution with another duration, as an initial guess of a solve.
 
-    Parameters
-    ----------
-    flown : Solution
-        A solution of a mission with a free end time.
-    share : float
-        Duration of the guess, relative to that of the solution.
-
-    Returns
-    -------
-    dict
-        "time" -> fractions of the horizon, shape (n,); name of a state -> its samples; "duration"
-        -> the end time [s]. The states are those of the solution, with velocities divided by
-        `share`.
+    The duration is multiplied by `share`, and velocities are divided by it. "time" has fractions of
+    the horizon, "duration" the end time [s].
 
     Examples
     --------
@@ -592,16 +510,7 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides on which a solution really passes the zones.
 
-    The solve may move the path of its initial guess to another side of a keep-out zone.
-
-    Parameters
-    ----------
-    told : Scenario
-        The mission.
-    journey : tuple of Route
-        The journey of the initial guess.
-    solution : Solution
-        Result of the solve.
+    The solve may move the path of its initial guess, along `journey`, to another side of a zone.
     """
     track = solution.trajectory.states[:, _position_columns(solution)]
     times = solution.timeline.time(np.append(0.0, solution.mesh.point_fractions))
@@ -630,17 +539,8 @@ _LOOKS = 8
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
     """Return the zones that a flight touches on each leg, and the side on which it passes each.
 
-    The result has a set of pairs (name of a zone, side) for each leg. For its use, see
-    docs/theory/routes.md, eq. (1).
-
-    Parameters
-    ----------
-    told : Scenario
-        The mission.
-    journey : tuple of Route
-        The journey (a route for each leg) along which the initial guess led.
-    solution : Solution
-        Result of the solve.
+    Each leg has a set of pairs (name of a zone, side), see docs/theory/routes.md, eq. (1).
+    `journey` is that of the initial guess.
     """
     mesh, columns = solution.mesh, _position_columns(solution)
     inner = np.linspace(0.0, 1.0, _LOOKS, endpoint=False)
@@ -667,7 +567,8 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
     """Return whether a journey need not be solved, because a known solution is as good.
 
-    The journey then passes all zones that this solution touches on the same sides as the solution.
+    This is so if the journey passes all zones in `touched` on the sides given there. They are the
+    zones that the solution touches, for each leg.
     """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 

@@ -1,8 +1,8 @@
 """Shortest routes round keep-out zones and over terrain, and flights of an autopilot along a route.
 
 Routes of one homotopy class pass every zone on the same side: left, right, over or under. A route
-is a shortest path in a graph of points round the zones in the way. Further routes
-are found in order of length by Murty's method [1]_.
+is the shortest path of its class in a graph of points round the zones. Murty's method finds routes
+in order of length [1]_.
 
 Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk [2]_ and a
 stop at every corner and waypoint.
@@ -56,14 +56,13 @@ class Route:
     Attributes
     ----------
     places : ndarray, shape (n, 3)
-        Corners of the route, start and goal included [m].
+        Corners, with start and goal [m].
     sides : tuple of (str, Side)
-        Name of each zone between start and goal, and the side on which it is passed.
+        Name of each zone passed, and the side.
     label : str
-        Name of a route through a wind field, such as "corridor 1"; empty if the sides give the
-        name.
+        Name of a route through a wind field, such as "corridor 1"; otherwise empty.
     estimate_J : float or None
-        Energy of steady flight along the route through a wind field [J]; None without a wind field.
+        Energy of steady flight through a wind field [J]; otherwise None.
     """
 
     places: FloatArray
@@ -107,25 +106,9 @@ def find_routes(
 ) -> tuple[Route, ...]:
     """Return the shortest route of each homotopy class between two places, the shortest first.
 
-    Routes belong to the same class if they pass every keep-out zone on the same side. Routes more
-    than twice as long as the shortest route are left out. Over terrain, the routes are then raised
-    to the floor, see `climbs.over_the_ground`.
-
-    Parameters
-    ----------
-    airspace : Airspace
-        Keep-out zones, clearance from them, fence, floor and terrain.
-    start, goal : (float, float, float)
-        Ends of the routes [m].
-    most : int, optional
-        Largest number of routes.
-
-    Returns
-    -------
-    tuple of Route
-        The routes; empty if there is none. The distance of a corner from its zone is at least the
-        clearance plus `zones.MARGIN_M` [m]. A gap between two zones that is too narrow for such a
-        corner counts as closed.
+    Corners are at least the clearance plus `zones.MARGIN_M` from their zones. Routes longer than
+    twice the shortest are left out. Over terrain, `climbs.over_the_ground` raises them to the
+    floor.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -149,8 +132,8 @@ def find_routes(
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
     """Return the names of the keep-out zones that block every route between two places.
 
-    If the removal of one zone alone can open a route, the result has all such zones. Otherwise it
-    has a minimal set of zones that together block every route.
+    If there are zones whose removal alone opens a route, they are the result. Otherwise it is a
+    minimal set of zones that together block every route.
     """
     zones = airspace.keep_out
 
@@ -196,27 +179,10 @@ Journey = tuple[Route, ...]
 
 
 def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
-    """Return the shortest journeys through all stops of a mission.
+    """Return the shortest journeys through all stops of a mission, at most `MOST_ROUTES`.
 
-    A journey is a sequence of routes, one for each leg from one stop to the next. At most
-    `MOST_ROUTES` journeys are returned.
-
-    Parameters
-    ----------
-    airspace : Airspace
-        Keep-out zones, clearance from them, fence, floor and terrain.
-    stops : sequence of (float, float, float)
-        Start, waypoints and goal [m].
-
-    Returns
-    -------
-    tuple of tuple of Route
-        The journeys, the shortest first.
-
-    Raises
-    ------
-    NoRouteError
-        If zones block a leg; the message names them.
+    A journey is a sequence of routes, one for each leg from one stop to the next. Raises a
+    NoRouteError if zones block a leg; the message names them.
     """
     journeys: list[Journey] = [()]
     for start, goal in pairwise(stops):
@@ -229,25 +195,10 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
 
 
 def journeys_of(told: Scenario) -> tuple[Journey, ...]:
-    """Return the shortest journeys of a mission, inside the edges of its wind field.
+    """Return the shortest journeys of a mission, the shortest first, as `find_journeys` does.
 
-    A journey is a sequence of routes, one for each leg. Journeys stay inside the fence, and inside
-    the field unless the mission may leave it.
-
-    Parameters
-    ----------
-    told : Scenario
-        The mission.
-
-    Returns
-    -------
-    tuple of tuple of Route
-        The journeys, the shortest first.
-
-    Raises
-    ------
-    NoRouteError
-        If zones, or zones and the edges of the field, block a leg; the message names the zones.
+    They stay inside the fence, and inside the wind field unless the mission may leave it. Raises a
+    NoRouteError if zones, or zones and the edges of the field, block a leg.
     """
     # There are edges only if the mission must stay in the wind field.
     airspace, edges = told.airspace, field_edges(told)
@@ -315,6 +266,7 @@ class _Graph:
         beside = [places_beside(zone, airspace.clearance, ends) for zone in relevant]
         places = np.vstack([ends, *beside])
         is_free = airspace.distance_to_height_limits(places) >= 0.0
+        # A gap between two zones that is too narrow for a corner counts as closed.
         # Zones that are not relevant yet must not remove places: they become relevant only when a
         # route hits them, and their own places then lead round both zones.
         for zone in relevant:
@@ -413,18 +365,17 @@ class TriedRoute:
     Attributes
     ----------
     name : str
-        Name of the route, which states the sides on which it passes the zones.
+        Name of the route, from the sides of the zones.
     length_m : float
-        Length of the route [m], a sequence of straight lines that was the initial guess.
+        Length of the straight lines of the initial guess [m].
     energy_J : float or None
-        Energy of the optimal flight along the route [J]; None if the solve failed. If `is_refined`
-        is False, the energy is that on a coarse mesh.
+        Energy of the flight [J]; None if the solve failed.
     is_refined : bool
-        Whether the flight was solved to the mission's tolerance.
+        Whether the flight was solved to the mission's tolerance, not only on a coarse mesh.
     is_kept : bool
-        Whether the plan follows this route.
+        Whether the plan is this flight.
     estimate_J : float or None
-        Energy of steady flight along the route through a wind field [J]; None without a wind field.
+        Energy of steady flight through a wind field [J]; otherwise None.
     """
 
     name: str
@@ -460,20 +411,10 @@ class SpeedProfile(NamedTuple):
 
 
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:
-    """Return the fastest motion from rest to rest over a distance, with limited jerk.
+    """Return the fastest motion from rest to rest over a distance [m], with limited jerk.
 
-    Parameters
-    ----------
-    distance : float
-        Length of the motion [m], positive.
-    speed, acceleration, jerk : float
-        Largest magnitudes allowed [m/s, m/s^2, m/s^3].
-
-    Returns
-    -------
-    SpeedProfile
-        Samples at the start and at the end of each of the seven phases. Some phases may have zero
-        duration.
+    `speed`, `acceleration` and `jerk` are the largest magnitudes allowed [m/s, m/s^2, m/s^3]. Some
+    of the seven phases may have zero duration.
     """
     # On a leg that is too short to reach the speed, the phase of constant speed has no duration. On
     # an even shorter leg, the peak acceleration is lower, too.
@@ -517,26 +458,11 @@ def cruise_at(
     settling_s: float = 0.0,
     least_s: float = 0.0,
 ) -> Scenario:
-    """Return the mission with the times of an autopilot's cruise: passing times and duration.
+    """Return the mission with the passing times and the duration of an autopilot's cruise.
 
-    Cruise is flight along straight legs at one speed. The vehicle then hovers at the goal for
-    `settling_s`, or longer if the flight would otherwise last less than `least_s`. The returned
-    scenario also has the cruise speed `speed`, if it is given.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    speed : float, optional
-        Cruise speed [m/s]; by default the single cruise speed of the scenario.
-    settling_s, least_s : float, optional
-        Time of hover at the goal, and least duration of the flight [s].
-
-    Raises
-    ------
-    ScenarioError
-        If all places of the mission are the same, if keep-out zones block a leg, or if `speed` is
-        None and the scenario does not have a single cruise speed.
+    `speed` [m/s] replaces the cruise speed of the scenario. The vehicle hovers at the goal for
+    `settling_s`, or longer until the flight has lasted `least_s`. Raises a ScenarioError if there
+    is no such cruise.
     """
     told = scenario
     if speed is not None:
@@ -555,8 +481,8 @@ def cruise(scenario: Scenario) -> SampledPath:
     Raises
     ------
     ScenarioError
-        If the cruise takes longer than the mission's duration, if the time of a waypoint or the
-        duration is free, or as for `cruise_at`.
+        If the cruise takes longer than the mission's duration, or if a time of the mission is free.
+        Also for the reasons of `cruise_at`.
     """
     stops, times = stops_of(scenario.mission)
     holds = (0.0, *(waypoint.hold for waypoint in scenario.mission.waypoints))
@@ -616,8 +542,7 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 def reached(scenario: Scenario) -> CruiseSettings:
     """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
-    They are smaller than the settings of the scenario if the legs are too short to reach these. The
-    flight is the same with both.
+    On short legs, they are smaller than those of the scenario, but give the same flight.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(
@@ -628,15 +553,9 @@ def reached(scenario: Scenario) -> CruiseSettings:
 
 
 def own_cruise(scenario: Scenario) -> CruiseSettings:
-    """Return the settings of an autopilot's cruise, for a scenario with a single cruise speed.
+    """Return speed, acceleration and jerk of the cruise, for a scenario with a single cruise speed.
 
-    Cruise is flight along straight lines at one speed. The settings are the speed, acceleration and
-    jerk that the scenario states.
-
-    Raises
-    ------
-    ScenarioError
-        If the scenario has no cruise speed, or several.
+    Raises a ScenarioError if the scenario has no cruise speed, or several.
     """
     speeds = scenario.baseline.cruise_speeds or ()
     if len(speeds) != 1:

@@ -59,16 +59,13 @@ class State:
     stage : Stage
         Present stage.
     energy_J : float
-        Energy of the solution on the last mesh that was solved [J]; infinite before the first
-        solution.
+        Energy on the last solved mesh [J]; infinite if there is none.
     uncertainty : float
-        Relative change of the energy from the second last to the last solved mesh; infinite if
-        fewer than two meshes were solved.
+        Relative change of the energy between the last two meshes; infinite if there are fewer.
     spent_s : float
-        Processor time since the search began [s].
+        Processor time of the search [s].
     has_usable : bool
-        Whether the search has a usable plan to return if it is stopped now. A usable plan is a plan
-        that simulation confirms at lower accuracy than requested.
+        Whether the search has a usable plan.
     iteration : Iteration
         Present iteration of Ipopt.
     """
@@ -84,29 +81,21 @@ class State:
 class Search:
     """State of one search for a plan, from its first solve to its result.
 
-    One object is the progress callback of all solves. Ipopt calls it at each iteration, and stops
-    if the search has used up its time. A search that is stopped returns the best usable plan.
-
-    Parameters
-    ----------
-    deadline : Deadline
-        Time limit of the search.
-    show : callable, optional
-        Called with the `State` of the search at each iteration of Ipopt, for a progress display.
+    It is the progress callback of all solves, and stops Ipopt when the time is used up. A search
+    that is stopped returns the best usable plan.
 
     Attributes
     ----------
     deadline : Deadline
-        Time limit of the search.
+        Time limit.
     stage : Stage
-        Present stage of the search, such as the comparison of routes.
+        Present stage.
     record : list of str
-        Names and outcomes of the ways tried so far to obtain or to improve a plan.
+        Names and outcomes of the strategies tried.
     usable : Plan or None
-        The best usable plan so far.
+        Best usable plan.
     work : int
-        Number of mesh points, summed over all iterations of Ipopt. It measures the cost of the
-        search independently of the speed and the load of the machine.
+        Number of mesh points, summed over all iterations of Ipopt.
     """
 
     def __init__(self, deadline: Deadline, show: Callable[[State], None] | None = None) -> None:
@@ -129,16 +118,16 @@ class Search:
 
     @property
     def effort(self) -> int:
-        """Cost of the solves since the last call of `begin_effort`.
+        """Cost of the solves since the last call of `begin_effort`, which sets its upper limit.
 
-        The cost is measured as the number of mesh points, summed over Ipopt's iterations.
-        `begin_effort` sets its upper limit.
+        The cost is the number of mesh points, summed over Ipopt's iterations. It does not depend on
+        the speed and the load of the machine.
         """
         return self.work - self._effort_from
 
     @property
     def is_early(self) -> bool:
-        """Whether the search has run for less than about two seconds, too short for usable plans.
+        """Whether the search has run for less than about two seconds.
 
         At the accuracy `proof`, usable plans are made only after this time.
         """
@@ -149,8 +138,8 @@ class Search:
     def begin_with(self, make_first: Callable[[], Plan | None]) -> None:
         """Set the function that makes the first usable plan, if the search takes long.
 
-        `make_first` returns a simulated plan or None. It is called at most once, after somewhat
-        more than a second without a usable plan.
+        `make_first` returns a simulated plan or None. It is called at most once, if there is no
+        usable plan after somewhat more than a second.
         """
         self._make_first = make_first
 
@@ -167,8 +156,8 @@ class Search:
     def is_stopped(self) -> bool:
         """Return whether the user or the time limit has stopped the search.
 
-        The user stops the search through a progress callback, which then returns False. It is
-        called with the last iteration of Ipopt. Before the first iteration, the result is False.
+        The user stops it through a progress callback that returns False, called here with Ipopt's
+        last iteration. Before the first iteration, the result is False.
         """
         return self._last is not None and not self.deadline(self._last)
 
@@ -189,8 +178,9 @@ class Search:
     def restart_patience(self) -> None:
         """Make the property `is_early` true again for about two seconds of solves.
 
-        The function set by `begin_with` waits anew, too. This method is called when the order of
-        the waypoints has been chosen, before the whole mission is solved.
+        The time before the call of the function set by `begin_with` also starts again. This method
+        is called when the order of the waypoints has been chosen, before the whole mission is
+        solved.
         """
         self._patient_from = self.work
 
@@ -235,22 +225,8 @@ class Search:
     ) -> None:
         """Try to make a usable plan from the solution on a mesh that has just been solved.
 
-        No plan is made after the time limit, or if simulations have taken too large a share of the
-        search.
-
-        Parameters
-        ----------
-        energy_J : float
-            Energy of the solution [J].
-        flown : callable
-            Returns an iterator over simulated plans: first of the solution as it is, then of solves
-            with stricter limits, as long as limits are broken. Plans are taken until one becomes
-            the best usable plan. If the search already has a usable plan that was made from a
-            solution, only the first plan is taken.
-        points : int
-            Number of points of the mesh, which measures the cost of a simulation.
-        is_skipped : bool
-            If True, no usable plan is made, and only the energy is noted for the progress display.
+        `flown` yields simulated plans: of the solution, then of solves with stricter limits. The
+        mesh has `points` points. If `is_skipped`, only the energy `energy_J` [J] is noted.
         """
         self._note(energy_J)
         share = _SHARE_FOR_BETTER if _is_optimised(self.usable) else _SHARE
@@ -261,6 +237,7 @@ class Search:
         for plan in islice(flown(), _MOST_PLANS):
             self.keep(plan)
             self._work_of_flights += _ITERATIONS_OF_FLIGHT * points
+            # If the search already has a usable plan from a solution, one further plan is enough.
             if before is not self.usable or _is_optimised(self.usable):
                 break
         self.stage = stage
@@ -294,8 +271,8 @@ class Search:
     def ended(self, plan: Plan) -> Plan:
         """Return the result of the search: its last plan or the best usable plan.
 
-        The result is the last plan, `plan`, if it is flyable or its mission infeasible, or if there
-        is no usable plan. Its `attempts` are the record of the search.
+        The last plan, `plan`, is returned if it is flyable or infeasible, or if there is no usable
+        plan. The attribute `attempts` of the result is the record of the search.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:

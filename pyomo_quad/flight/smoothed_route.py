@@ -1,11 +1,9 @@
 """Smooth path along a route at prescribed speeds, without an optimisation.
 
 A point moves along the straight lines of the route with bounded acceleration, and slowly past
-corners. The smooth path is a moving average of this motion: the weighted mean of the point's
-positions over a short span of time. Its velocity, acceleration and jerk are continuous.
-
-A moving average cuts corners. The corners are therefore moved outwards, until the path passes
-through the original ones. See docs/theory/geometric_plan.md, eqs. (1) to (4).
+corners. The smooth path is a moving average of this motion, with continuous velocity, acceleration
+and jerk. The average cuts corners, which are moved outwards until the path passes through the
+original ones. See docs/theory/geometric_plan.md, eqs. (1) to (4).
 """
 
 from __future__ import annotations
@@ -71,8 +69,7 @@ class Pace:
     acceleration : float
         Greatest acceleration along the lines between the corners [m/s^2].
     turning : float
-        Greatest acceleration of the smooth path at the corners [m/s^2]. The motion passes each
-        corner so slowly that the path keeps this limit.
+        Greatest acceleration of the smooth path at the corners [m/s^2]. It limits the speed there.
     """
 
     speed: float
@@ -136,20 +133,8 @@ def smoothed(
 ) -> SmoothPath | None:
     """Return a smooth path through the corners of a route, from rest to rest.
 
-    Parameters
-    ----------
-    stops : sequence of Stop
-        Start, corners and goal.
-    pace : Pace
-        Greatest speed and accelerations.
-    lasting : float, optional
-        Duration of the path [s]; the speed is reduced to match it. By default the path is flown at
-        the greatest speed, which determines the duration.
-
-    Returns
-    -------
-    SmoothPath or None
-        The path; None if it cannot be flown in the given duration.
+    A duration `lasting` [s], if it is given, determines the speed; `pace` has the greatest speed.
+    None if the path cannot be flown in this duration.
     """
     corners = np.array([stop.place for stop in stops])
     wanted = corners.copy()

@@ -1,9 +1,8 @@
 """Shifts of a path in tilt, speed and rotor speeds, away from limits that a flight exceeds.
 
-Between the collocation points, a coarse solution may exceed a limit. A simulated vehicle that
-follows the solution under feedback may then exceed the limit, too. For the next simulation, the
-limited states of the path are shifted away from the limit while it is exceeded. The regulator
-anticipates the shift, and gives these states a greater weight during it. See
+A coarse solution may exceed a limit between its collocation points. So may a simulated vehicle that
+follows it under feedback. For the next simulation, the path is shifted away from the limit during
+the excess. The regulator anticipates the shift, and gives the shifted states a greater weight. See
 docs/theory/tracking.md, eq. (9).
 """
 
@@ -56,26 +55,9 @@ def shifts_within_limits(
 ) -> tuple[StateShift, ...]:
     """Return shifts of a path away from the limits that a simulated flight along it exceeds.
 
-    Only limits on tilt, speed and rotor speed are considered. The next simulated flight follows the
-    shifted path. Implements docs/theory/tracking.md, eq. (9).
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the states, in the order of the columns of the samples.
-    flown : Flown
-        Samples of the simulated flight.
-    limits : sequence of LimitValues
-        Limited quantities at these samples (see `flight.displacement.limits_along`).
-    tolerated : float
-        Tolerated violation of a limit, relative to the larger of 1 and the greatest magnitude of
-        the limited quantity in the flight.
-
-    Returns
-    -------
-    tuple of StateShift
-        One shift for each time span in which the flight exceeds a limit by more than half of the
-        tolerated violation.
+    Only limits on tilt, speed and rotor speed count. A shift follows if the excess is above half of
+    `tolerated`, relative to max(1, largest magnitude in the flight). Implements
+    docs/theory/tracking.md, eq. (9).
     """
     found: list[StateShift] = []
     for limit in limits:

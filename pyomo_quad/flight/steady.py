@@ -1,9 +1,9 @@
 """Steady flight of a vehicle, computed from its compiled equations: hover, trim and battery load.
 
-In steady flight the position changes at a given velocity, and the other states are constant. The
-states and controls of a steady flight are called its trim.
+In steady flight all states are constant, except for position and consumption. The states and
+controls of a steady flight are called its trim.
 
-For a proven lower bound of a mission's energy, this module also computes the thrust that a motion
+For a proven lower bound of a mission's energy, the module also computes the thrust that a motion
 requires, and the power at a given thrust: docs/theory/bound.md, eqs. (1) and (6).
 """
 
@@ -82,8 +82,8 @@ class Trim:
 class HoverState:
     """Hover with the battery in its initial state: rotor speed, power and battery.
 
-    Battery current, voltage and charge rate are the values while the battery gives the power of the
-    hover. `greatest_battery_power_W` is the greatest power that it can give.
+    Current, voltage and charge rate of the battery are those under the power of the hover. The
+    battery can give at most `greatest_battery_power_W`.
     """
 
     rotor_speed_rad_per_s: float
@@ -100,8 +100,8 @@ def _sharpen(
 ) -> None:
     """Reduce the residual of a least-squares solution to rounding errors by Newton steps.
 
-    `found` is changed in place. Of all steps that remove the residual, the smallest relative to
-    `scale` is taken.
+    `found` is changed in place. A step is not unique; the shortest one is taken, relative to
+    `scale`.
     """
     for _ in range(_SHARPENINGS):
         # A large residual means that no solution is near.
@@ -142,29 +142,11 @@ class SteadyFlight:
         return self._dynamics
 
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
-        """Return the steady flight at a velocity over ground.
+        """Return the steady flight at a velocity over ground, in world axes [m/s].
 
-        Position and heading are those of the mission's start. States that measure consumption, such
-        as the charge drawn, have their initial values. The limits of the model are not applied.
-
-        Parameters
-        ----------
-        velocity : array_like, shape (3,), optional
-            Velocity over ground in world axes [m/s]; by default zero (hover). In still air it is
-            also the velocity relative to the air.
-        near : Trim, optional
-            Steady flight at a similar velocity, as the initial guess. It is not used if the result
-            for `velocity` is known from an earlier call.
-
-        Returns
-        -------
-        Trim
-            States, controls and power.
-
-        Raises
-        ------
-        SolveError
-            If the equations have no steady flight at this velocity.
+        Position and heading are those of the mission's start, and limits are not applied. The
+        flight `near`, at a similar velocity, is the initial guess. Raises a SolveError if there is
+        no steady flight.
         """
         wanted = np.array(velocity, dtype=float)
         key = tuple(wanted.tolist())
@@ -177,7 +159,8 @@ class SteadyFlight:
         """
         names, t = list(self._dynamics.state_names), self._dynamics.start
         # States that measure consumption change in every flight. They are the states that the
-        # mission fixes at the start and leaves free at the end.
+        # mission fixes at the start and leaves free at the end. In a trim they keep their initial
+        # values.
         used_up = set(self._dynamics.states_used_up)
         held = used_up | {*POSITION_STATES, _YAW}
         free = [k for k, name in enumerate(names) if name not in held]
@@ -229,8 +212,8 @@ class SteadyFlight:
     def held_in(self, trim: Trim) -> dict[str, float]:
         """Return the constant states of a steady flight, such as attitude and rotor speeds.
 
-        The result maps full names to values. Position, velocity and consumption are left out. If
-        the model has an induced velocity, it is included.
+        The result maps full names to values, without position, velocity and consumption. It
+        includes the induced velocity, which some models have as an algebraic variable.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
@@ -246,24 +229,11 @@ class SteadyFlight:
     def charge_rates(
         self, trim: Trim, drawn: FloatArray, circuit: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the charge rate and the power reserve of a steady flight at given charges drawn.
+        """Return charge rates [A h/s] and power reserves [W] of a steady flight at charges drawn.
 
-        Parameters
-        ----------
-        trim : Trim
-            The steady flight.
-        drawn : ndarray, shape (n,)
-            Charge drawn from the full pack [A h].
-        circuit : ndarray, shape (n, n_circuit), optional
-            Relaxation voltage [V] and temperature [K] of the battery at the given charges, if they
-            are states of the model; by default their values in `trim`.
-
-        Returns
-        -------
-        rate : ndarray, shape (n,)
-            Charge drawn per second [A h/s].
-        reserve : ndarray, shape (n,)
-            Greatest power that the battery can give, minus the power drawn [W].
+        `drawn` is counted from the full pack [A h]. `circuit` has relaxation voltage [V] and
+        temperature [K], shape (n, n_circuit), if they are states; by default those in `trim`. The
+        reserve is the greatest power minus the power drawn.
         """
         states = np.tile(trim.states, (len(drawn), 1))
         controls = np.tile(trim.controls, (len(drawn), 1))
@@ -277,20 +247,8 @@ class SteadyFlight:
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
         """Return the time for which a full battery sustains a steady flight [s].
 
-        Parameters
-        ----------
-        trim : Trim
-            The steady flight.
-        depth : float
-            Fraction of the battery's capacity that is drawn (depth of discharge).
-        samples : int
-            Number of states of charge at which the current is evaluated.
-
-        Returns
-        -------
-        float
-            Time [s]; infinite if the flight draws no power, zero if the battery cannot give the
-            power.
+        `depth` is the fraction of the capacity that is drawn, `samples` the number of quadrature
+        points. The time is infinite without power, and zero if the battery cannot give the power.
         """
         drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
         rate, reserve = self.charge_rates(trim, drawn, self._circuit_under_load(trim, drawn))
@@ -373,10 +331,10 @@ class SteadyFlight:
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the total power [W] at equal, constant rotor speeds; it may be negative.
+        """Return the total power [W] at equal, constant rotor speeds, which may be negative.
 
-        If the model has no regeneration, the method `power` replaces a negative power by zero.
-        `speed` has rotor speeds [rad/s]; the result has the same shape.
+        In a model without regeneration, the method `power` returns zero instead of a negative
+        power. `speed` has rotor speeds [rad/s]; the result has the same shape.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         # Without regeneration, a braking rotor returns no energy (see `model.power`).
@@ -385,10 +343,10 @@ class SteadyFlight:
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
-        """Return the power that accelerates all rotors, divided by the acceleration [J s/rad].
+        """Return the power that accelerates all rotors, per unit of acceleration [J s/rad].
 
-        This power changes the kinetic energy of the rotors. The result has the shape of `speed`
-        [rad/s].
+        It changes their kinetic energy. All rotors have the same acceleration [rad/s^2]. The result
+        has the shape of `speed` [rad/s].
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
@@ -448,7 +406,7 @@ class SteadyFlight:
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
     def stored_energy(self, depth: float, samples: int) -> float:
-        """Return the energy of discharging a full battery to a given depth, without losses [J].
+        """Return the energy of a full battery down to a depth of discharge, without losses [J].
 
         `depth` is the fraction of the capacity that is drawn, `samples` the number of quadrature
         points.
@@ -522,22 +480,16 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    The required thrust is mass * (a - a_0) for every attitude. Here a is the acceleration of the
-    motion, and a_0 the acceleration by weight and air with stopped rotors. For drag that is linear
-    in the velocity, see docs/theory/bound.md, eq. (1).
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The compiled vehicle in its wind.
+    The required thrust is mass * (a - a_0). Here a is the acceleration of the motion, and a_0 that
+    by weight and air with stopped rotors: docs/theory/bound.md, eq. (1).
 
     Attributes
     ----------
     mass, drag : ndarray, shape (3,)
-        Thrust required per acceleration [kg] and per velocity [kg/s] along each world axis.
+        Thrust per acceleration [kg] and per velocity [kg/s] along each world axis.
     is_linear : bool
-        Whether the required thrust along each axis depends linearly on the velocity along this
-        axis, and not on the other velocities. If False, `drag` has no meaning.
+        Whether the thrust along each axis is linear in the velocity along it, and independent of
+        the others. Otherwise `drag` is meaningless.
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
@@ -594,8 +546,7 @@ class MomentumDemand:
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
     """Return the reason why the battery cannot supply a hover of the mission's duration, in words.
 
-    `steady` gives the power and the charge rate of the hover. The result has one entry, or none if
-    the battery can supply the hover.
+    The result is empty if the battery can supply it, otherwise it has one entry.
     """
     hover = steady.hover
     pack = scenario.battery

@@ -1,10 +1,8 @@
 """Planning strategies: ways to obtain or to improve a plan, in the order in which they are tried.
 
 Each strategy has a condition and an action. An example is "the last solve failed" with "solve again
-from the flight of shortest duration".
-
-The search for a plan goes through a list of strategies once, and carries out each action whose
-condition holds. The action returns a text on its outcome, which the user reads in `Plan.attempts`.
+from the flight of shortest duration". The search for a plan goes through a list of strategies once.
+It carries out each action whose condition holds, and records the outcome in `Plan.attempts`.
 """
 
 from __future__ import annotations
@@ -25,24 +23,20 @@ Subject = TypeVar("Subject")
 
 
 class Strategy(NamedTuple, Generic[Subject]):
-    """One way to obtain or to improve a plan: an action, and the condition under which to try it.
-
-    Condition and action are functions of one object, the subject, which the strategies improve. An
-    example is a `Candidate`, which holds the best solution of a mission so far.
+    """One way to improve a subject, such as a `Candidate` (the best solution of a mission so far).
 
     Attributes
     ----------
     name : str
-        Name of the strategy, for the list of strategies that were tried (`Plan.attempts`).
+        Name in `Plan.attempts`.
     stage : Stage
-        Stage of the search that a progress display shows during the action.
+        Stage of the search during the action.
     applies : callable
-        The condition: takes the subject, and returns whether the action is to be carried out.
+        Condition: takes the subject, returns whether to act.
     act : callable
-        The action: takes the subject and changes it. Returns its outcome as text, or None if it
-        came to nothing.
+        Action: changes the subject. Returns the outcome as text, or None if there is none.
     repeats : int
-        Largest number of times that the action is carried out in a row, while the condition holds.
+        Largest number of actions in a row, while the condition holds.
     """
 
     name: str
@@ -55,20 +49,8 @@ class Strategy(NamedTuple, Generic[Subject]):
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
     """Carry out the strategies whose conditions hold, one after the other, and record the outcomes.
 
-    An action is carried out at most `Strategy.repeats` times, while its condition holds. An action
-    that came to nothing is neither repeated nor recorded.
-
-    Parameters
-    ----------
-    table : sequence of Strategy
-        Strategies, in the order in which they are tried.
-    subject
-        Object that the strategies improve, such as a `Candidate` (the best solution of a mission so
-        far). It is changed in place.
-    search : Search
-        The search for a plan. Its stage is set to the stage of each strategy that is carried out.
-        Each action that returns an outcome adds the line "name of the strategy: outcome" to the
-        record of the search.
+    The strategies change `subject` in place. An outcome is recorded in `search` as "name of the
+    strategy: outcome". An action that returns None is neither repeated nor recorded.
     """
     for strategy in table:
         for _ in range(strategy.repeats):

@@ -1,11 +1,9 @@
 """Solves with stricter limits, for plans whose simulated flight breaks limits of the mission.
 
-A solution satisfies its limits at the collocation points. Between these points its path may cut the
-corner of a zone, or go below the floor. The problem is therefore solved again with a limit that is
-stricter by the amount of the violation.
-
-A stricter limit costs energy. The energy of the plan is therefore compared with an estimate of the
-least energy; see docs/theory/tracking.md, eq. (10).
+A solution satisfies its limits at the collocation points. Between them its path may cut the corner
+of a zone, or go below the floor. The problem is solved again with a limit that is stricter by the
+violation. This costs energy, which is compared with an estimate of the least energy; see
+docs/theory/tracking.md, eq. (10).
 """
 
 from __future__ import annotations
@@ -102,34 +100,9 @@ def within_limits(
 ) -> Iterator[Plan]:
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
-    Each plan is solved on a mesh that is finer at the times at which the last plan's flight enters
-    keep-out zones.
-
-    Parameters
-    ----------
-    mission : Mission
-        Solver of the mission.
-    relaxed : Solution
-        Solution within the original limits of the mission, from which `plan` was made.
-    plan : Plan
-        Plan with the result of its simulation.
-    figures : Figures
-        Tolerances of the required accuracy.
-    fly : callable
-        Takes a solution and an estimate of the least energy of the mission [J]. Returns the plan
-        made from the solution, with the result of its simulation.
-
-    Yields
-    ------
-    Plan
-        Plan with the result of its simulation. Its parameter values are those of the mission,
-        without the stricter limits. The iteration ends in each of these cases:
-
-        - All limits are satisfied at an acceptable cost.
-        - A solve fails.
-        - The flight breaks limits again after they were made less strict to save energy.
-        - The violation of a limit is too large, or no parameter sets the limit.
-        - The state at the start or at the goal is outside a stricter limit.
+    `plan` was made from the solution `relaxed`. `fly` takes a solution and the estimated least
+    energy [J], and returns a simulated plan. The iteration ends when limits are kept or stricter
+    limits do not help.
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins, cuts = dict[str, float](), dict[str, float]()
@@ -139,6 +112,7 @@ def within_limits(
         windows = _windows(plan, figures, {name: strict[name] for name in margins})
         broken = broken_limits(plan, figures)
         denser = _DENSER
+        # The limits are broken again after they were made less strict to save energy.
         if broken and has_relaxed:
             return
         if broken:
@@ -171,6 +145,7 @@ def within_limits(
             return
         last = found
         # The errors on the finer mesh are at most those of the relaxed solution.
+        # The plan has the parameter values of the mission, without the stricter limits.
         own = replace(
             found,
             instance=relaxed.instance,
@@ -190,8 +165,8 @@ def _least_energy(
 ) -> float:
     """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    `cuts` and `margins` map parameters that set limits to amounts. Implements
-    docs/theory/tracking.md, eq. (10).
+    `margins` has the changes of limits in `strict`, by parameter, and `cuts` the violations in the
+    flight of `relaxed`. Implements docs/theory/tracking.md, eq. (10).
     """
     low, high = (energy_of(mission.told, solution) for solution in (relaxed, strict))
     # The flight of `relaxed` breaks limits by `cuts`, so that its energy is too low. The energy of
@@ -250,7 +225,8 @@ def _by_parameter(
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Return parameter values with changes added, for a solve with stricter limits.
 
-    A parameter decreases by at most half. Start and goal stay between floor and ceiling.
+    A parameter decreases by at most half. The floor rises at most to the lower one of start and
+    goal, and the ceiling falls at most to the higher one.
     """
     found = dict(numbers)
     for name, change in changes.items():
@@ -266,18 +242,10 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
 
 
 def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
-    """Return the mesh of a solution, refined at the times of violations of keep-out zones.
+    """Return the mesh of a solution, refined at the times at which its flight enters zones.
 
-    The violations are those of the simulated flight of the plan.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution whose mesh is refined.
-    plan : Plan
-        Plan made from the solution, with the result of its simulation.
-    figures : Figures
-        Tolerances of the required accuracy.
+    The flight is the simulated flight of `plan`, made from the solution. `figures` has the
+    tolerances.
     """
     return _denser_mesh(solution, _windows(plan, figures, {}), _DENSER)
 

@@ -1,9 +1,9 @@
 """Search for the cheapest order of the waypoints of a mission, from the energies of its legs.
 
-A leg is the flight from one place of the mission to another, from hover to hover. The legs between
-neighbouring places and those of the cheapest orders are solved as separate flights. The energies of
-all other legs are predicted from these, see docs/theory/orders.md, eq. (1). Then the whole mission
-is solved for the few cheapest orders.
+A leg is the flight from one place of the mission to another, from hover to hover. Legs between
+neighbouring places and those of the cheapest orders are solved as separate flights. They predict
+the energies of the others, docs/theory/orders.md, eq. (1). Then the whole mission is solved for the
+few cheapest orders.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class LegTable:
     scenario : Scenario
         The mission.
     solve : callable
-        Solves for a leg and returns a `Solution`. Takes a scenario without waypoints, a mesh, and
-        the shortest route round the zones (None if no zone is in the way).
+        Takes a scenario without waypoints, a mesh, and the shortest route round the zones (None if
+        no zone is in the way). Returns the `Solution` of the leg.
     """
 
     def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
@@ -116,28 +116,24 @@ class LegTable:
 
     @property
     def lengths(self) -> FloatArray:
-        """Lengths of the shortest routes between all pairs of places [m].
+        """Lengths of the shortest routes between all places [m], shape (n_places, n_places).
 
-        The length is infinite if there is no route or if no order may use the leg, such as a leg
-        from the goal. The shape is (n_places, n_places), with the start first and the goal last.
+        The start is first, the goal last. A leg that has no route, or that no order may use, has
+        infinite length. An example is a leg from the goal.
         """
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
-        """Return the cost of each leg [J], solved or predicted optimistically.
+        """Return the cost of each leg [J], shape (n_places, n_places).
 
-        The cost is the energy plus the price of time times the duration. If no leg is solved yet,
-        the result is `lengths` [m]. See docs/theory/orders.md, eq. (1).
-
-        Returns
-        -------
-        ndarray, shape (n_places, n_places)
-            Row: place where the leg begins; column: place where the leg ends. The places are the
-            start, the waypoints and the goal. The cost is infinite for legs that no order may use.
+        The cost is energy + price of time x duration. Unsolved legs have an optimistic prediction,
+        docs/theory/orders.md, eq. (1). Legs (from row to column) that no order may use have
+        infinite cost.
         """
         missing = [leg for leg in self.legs if leg not in self._known]
         if not missing:
             return self._table(self._known)
+        # Before the first solve, lengths [m] take the place of costs.
         if not self._known:
             return self.lengths
         terms = max(1, min(_TERMS, len(self._known) // 2))
@@ -209,26 +205,10 @@ class LegTable:
 def find_orders(
     scenario: Scenario, solve: LegSolver, count: int = BEST_FEW
 ) -> tuple[OrderSearch, ...]:
-    """Search for the cheapest orders of the waypoints of a mission, by the costs of their legs.
+    """Search for the cheapest orders of the waypoints of a mission; return at most `count` orders.
 
-    A leg is the flight between two places, from hover to hover. The legs of the cheapest orders are
-    solved, the others predicted.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    solve : callable
-        Solves for a leg and returns a `Solution`. Takes a scenario without waypoints, a mesh, and
-        the shortest route round the zones (None if no zone is in the way).
-    count : int, optional
-        Largest number of orders to return; by default `BEST_FEW`.
-
-    Returns
-    -------
-    tuple of OrderSearch
-        The orders found, the cheapest first. If zones leave no way to visit all places, the result
-        has only the order in which the scenario lists the waypoints, with infinite cost.
+    The legs of these orders are solved by `solve` (see `LegTable`), the others predicted. If zones
+    leave no way to visit all places, the result is the listed order with infinite cost.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -264,10 +244,10 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return the approximate number of legs that a search for the best order solves at first.
+    """Return the approximate number of legs that a search for the best order solves first.
 
-    A leg is the flight between two places. `waypoints` is the number of waypoints. The search may
-    solve more legs later. The result serves to estimate the computing time of a search.
+    The number of `waypoints` determines it. The result serves to estimate the computing time of a
+    search, which may solve more legs later.
     """
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
@@ -281,8 +261,7 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
     """Return the legs (pairs of indices of places) that are solved first.
 
-    They lead to the nearest places, belong to the shortest order, or sample the range of all
-    lengths.
+    These are legs to the nearest places, legs of the shortest order, and a sample of all lengths.
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
@@ -343,17 +322,7 @@ class BestOrder:
     def fly(self, found: OrderSearch) -> str:
         """Solve the mission for one order of the waypoints on a coarse mesh, and keep the solution.
 
-        `finish` then chooses the cheapest of the orders that were solved.
-
-        Parameters
-        ----------
-        found : OrderSearch
-            The order of the waypoints, found from the costs of separate flights between the places.
-
-        Returns
-        -------
-        str
-            Text with the cost of the solution [J], or with the status of a failed solve.
+        The result is a text with the cost [J], or with the status of a failed solve.
         """
         solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved
@@ -362,16 +331,10 @@ class BestOrder:
         return f"{cost:.6g} J on a first mesh" if is_flown else solution.status.value
 
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
-        """Return the plan for the cheapest order of the waypoints, refined and verified.
+        """Return the verified plan for the order of least cost on a coarse mesh.
 
-        The cheapest order is the order whose solution on a coarse mesh has the least cost.
-
-        Parameters
-        ----------
-        solve : callable
-            Takes the scenario in the cheapest order, an initial guess and the `Search` object.
-            Returns a verified plan. The guess comes from the solution on the coarse mesh, and is
-            None if every solve on the coarse mesh failed.
+        `solve` takes the scenario in this order, an initial guess from the coarse solution and the
+        `Search`. It returns a verified plan. The guess is None if every coarse solve failed.
         """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)

@@ -1,11 +1,9 @@
 """Simulated flights that follow a solution on a coarse mesh under feedback, to make it flyable.
 
 Between its collocation points, the solution satisfies the equations of motion only approximately.
-Its controls alone would therefore miss the goal. This module simulates the equations while a
-linear-quadratic regulator keeps the vehicle near the solution. The simulated states and controls
-satisfy the equations, at an energy close to that of the solution.
-
-Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
+Its controls alone would miss the goal. A linear-quadratic regulator keeps the simulated vehicle
+near the solution. The simulated states and controls satisfy the equations, at nearly the same
+energy. Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 """
 
 from __future__ import annotations
@@ -75,19 +73,18 @@ _INTEGRATION, _LOST = 1e-10, 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Demands:
-    """Demanded changes of the path that a simulated vehicle follows.
+    """Changes of the path that a simulated vehicle follows.
 
     Without demands, the vehicle follows the path of a solution on a coarse mesh.
 
     Attributes
     ----------
     displacement : tuple of Push
-        Pushes of the path. Each push displaces the path by one vector during a span of time; the
-        pushes are added.
+        Displacements, each by one vector during a span of time; they are added.
     rests : tuple of (float, float)
-        Start and end times of hovers at waypoints [s]. The vehicle shall be at rest in each hover.
+        Start and end of hovers [s], in which the vehicle shall be at rest.
     shifts : tuple of StateShift
-        Shifts of the path in tilt, speed and rotor speeds, away from limits.
+        Shifts in tilt, speed and rotor speeds, away from limits.
     """
 
     displacement: Displacement = ()
@@ -116,33 +113,9 @@ def tracked(
 ) -> Trajectories | None:
     """Return the simulated flight of a vehicle that follows a coarse solution under feedback.
 
-    In each mesh element, the feedback adds a constant correction to the controls of the solution.
-    The corrected controls are clipped to their limits.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the vehicle.
-    coarse : Trajectories
-        States and controls of a solution.
-    demands : Demands, optional
-        Changes of the path that the vehicle follows, relative to the solution.
-    previous : Trajectories, optional
-        An earlier result for the same solution, possibly with other demands. The corrections
-        anticipate the deviations of this earlier flight from the solution.
-
-    Returns
-    -------
-    Trajectories or None
-        States, controls and energy of the flight, on the solution's mesh with long elements split.
-        Costates and Hamiltonian are interpolated. None if a state grows beyond any physical value,
-        because the vehicle cannot follow the solution.
-
-    Raises
-    ------
-    SolveError
-        If the integrator fails, if the time limit of the enclosing `Deadline` has passed, or if one
-        element needs too many evaluations of the equations, for example if the vehicle tumbles.
+    The controls anticipate the deviations in `previous`, an earlier result. None if the vehicle
+    cannot follow the solution. Raises a SolveError if the integration fails, or the enclosing
+    `Deadline` has passed.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
@@ -246,7 +219,7 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
 
 
 def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
-    """Return the changes of a path's states that demands cause, at the element boundaries.
+    """Return the changes of a path's states by demands, at the element boundaries.
 
     The shape is (n_elements + 1, n_states), in the order of `dynamics.state_names`.
     """

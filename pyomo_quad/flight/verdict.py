@@ -60,21 +60,8 @@ def plan_of(
 ) -> Plan:
     """Return an unverified plan made from a solution of the optimal control problem.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario that was solved.
-    solution : Solution
-        Result of the collocation engine, converged or not.
-    timings : dict
-        Computing time so far [s] by phase, such as "build" and "compile".
-    hover_energy : float
-        Energy of hovering in still air for the duration of the solution [J], for comparison.
-
-    Returns
-    -------
-    Plan
-        Plan with status `SOLVED`, or with the status and message of the failed solve.
+    Its status is `SOLVED`, or that of the failed solve. `timings` has the computing times so far
+    [s] by phase. `hover_energy` is that of hovering in still air for the same duration [J].
     """
     return Plan(
         scenario=scenario,
@@ -123,37 +110,9 @@ def verified(
 ) -> Plan:
     """Verify a plan by simulation of its controls, and return it with the result.
 
-    Except at the accuracy `proof`, the controls are corrected by feedback before the simulation,
-    and corrected again if the flight misses its tolerances. See docs/theory/tracking.md.
-
-    Parameters
-    ----------
-    plan : Plan
-        A plan of a converged or nearly converged solution.
-    solution : Solution
-        The solution from which the plan was made.
-    accuracy : Accuracy, optional
-        The required accuracy; by default the scenario's accuracy.
-    least_energy : float, optional
-        Least energy of the mission [J], with which the energy of the corrected plan is compared;
-        by default the energy of `plan`. A solution with stricter limits than the mission needs this
-        argument, because its energy exceeds the least energy.
-    is_rough : bool, optional
-        Whether a usable plan is enough: a plan that the simulation confirms at lower accuracy.
-
-    Returns
-    -------
-    Plan
-        The plan with corrected controls, and with its attributes `verification` and `flown` (the
-        simulated flight). If no correction is usable, `flown` has samples of the planned path or of
-        a flight under feedback. The status is `VERIFIED` if all of these conditions hold, otherwise
-        it is `SOLVED`:
-
-        - The simulation confirms the plan to the required accuracy.
-        - The solve converged.
-        - The error estimate of the energy is within its tolerance (not required at `proof`).
-
-        If a simulation fails, only status and message are changed.
+    Except at `proof`, feedback first corrects the controls (docs/theory/tracking.md). The status is
+    `VERIFIED` if the solve converged, and simulation and error estimate are within tolerance. If
+    `is_rough`, a usable plan suffices. `least_energy` is by default the plan's energy [J].
     """
     started = time.perf_counter()
     asked = accuracy or plan.scenario.solver.accuracy
@@ -167,6 +126,7 @@ def verified(
         if asked is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
             verification, flown = _flown(plan, asked, wanted)
         elif verification.max_violation <= _HOPELESS:
+            # The energy of a plan with stricter limits than the mission's exceeds the least energy.
             least = plan.energy if least_energy is None else least_energy
             plan, verification, flown = _corrected(plan, asked, wanted, least, is_rough=is_rough)
     except SolveError as error:
@@ -192,8 +152,8 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback, and simulate the corrected controls.
 
-    If no flight under feedback is usable, the last of them is returned. Raises a SolveError if the
-    first flight under feedback, or the simulation without feedback, fails.
+    If no flight under feedback is usable, the result is the last such flight. Raises a SolveError
+    if the first flight under feedback, or the simulation without feedback, fails.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
@@ -260,7 +220,7 @@ def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
     """Return the reason why a simulated plan does not reach the required accuracy, as a message.
 
-    It is a violated limit, a possible excess over the least energy, or the message of the solve.
+    The reason is a violated limit or too much energy; otherwise the message of the solve is kept.
     """
     excess = plan.error_estimate
     if accuracy is Accuracy.PROOF or (found.is_verified and excess <= FIGURES[accuracy].energy):

@@ -62,44 +62,14 @@ def fly_controls(
     method: str = "DOP853",
     integration: float = _PROOF.integration,
 ) -> Flown:
-    """Simulate the controls of a plan in open loop.
+    """Simulate the controls of a plan in open loop, from the first to the second time of `horizon`.
 
-    The controls are polynomials in each mesh element. They are clipped at their limits, which are
-    first widened by `HELD_BREACH` * max(1, abs(limit)).
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Simulated vehicle.
-    mesh : Mesh
-        Elements and degrees of the control polynomials.
-    controls : ndarray, shape (n_points, n_controls)
-        Controls at the collocation points.
-    start : ndarray, shape (n_states,)
-        Initial state.
-    horizon : (float, float)
-        Start and end time [s].
-    samples_per_element : int or sequence of ndarray, optional
-        Number of equally spaced samples in each element, or for each element an array of increasing
-        fractions of the element that ends with 1.
-    method : str, optional
-        Method of `scipy.integrate.solve_ivp`.
-    integration : float, optional
-        Relative and absolute tolerance of the integrator. In flights longer than 30 s, the relative
-        tolerance decreases with the fourth power of the duration.
-
-    Returns
-    -------
-    Flown
-        Samples of the flight.
-
-    Raises
-    ------
-    SolveError
-        If the integrator fails or the time limit passes.
+    Each element has `samples_per_element` equally spaced samples, or samples at given fractions,
+    which increase to 1. A failed integration or the time limit raises a SolveError.
     """
     borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
     flow = ClosedLoop.without_feedback(dynamics)
+    # Controls are clipped at limits that are widened by HELD_BREACH * max(1, abs(limit)).
     limits = dynamics.control_limits(HELD_BREACH)
     shares = samples_per_element
     if isinstance(shares, int):
@@ -149,27 +119,14 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    Before the time `inside`, the parameters have their values at `inside`. A parameter that jumps
-    at the start of the element, such as the mass when a payload is released, thus has its value
-    after the jump.
-
-    Parameters
-    ----------
-    flow : ClosedLoop
-        Equations of motion.
-    control : callable
-        Function of the time [s] that returns the controls, smooth in the element.
-    inside : float
-        Time just after the start of the element [s].
-
-    Returns
-    -------
-    callable
-        Function of time [s] and state that returns the time derivative of the state.
+    It is a function of time [s] and state. Parameters that jump at the start of the element have
+    their value just after it, at the time `inside` [s].
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
         keep_time()
+        # Before `inside`, the parameters have their values at `inside`: the mass after a release,
+        # for example.
         return flow.rates(max(t, inside), y, control(t))
 
     return rates
@@ -204,11 +161,9 @@ class Verification:
     terminal_miss_m : float
         Distance between the simulated and the planned final position [m].
     worst_miss : str
-        Name of the state whose final value deviates most from the plan. The deviation is relative
-        to max(1, abs(planned value)).
+        Name of the state with the largest final deviation relative to max(1, abs(planned value)).
     max_violation, worst_constraint : float, str
-        Largest violation of a limit along the flight, and the name of the violated limit. The
-        violation is relative to max(1, abs(limit)).
+        Largest violation of a limit relative to max(1, abs(limit)), and the name of the limit.
     breaches : tuple of Violation
         Largest violation of each limit along the flight, in order of decreasing relative violation;
         0 for a limit that is kept.
@@ -219,19 +174,18 @@ class Verification:
     passing_misses_m : tuple of float
         For each waypoint, the distance by which the flight passes outside its radius [m].
     battery_imbalance : float
-        Larger result of `shares_lacking`: the fraction of the power that the battery cannot supply,
-        or the charge drawn beyond an empty battery as a fraction of the capacity.
+        Largest fraction of the power or of the charge that the battery cannot supply, whichever is
+        greater. The fraction of the charge is relative to the capacity.
     voltage_lacking : float
         Largest fraction of a motor's voltage that the battery cannot supply; negative if the
         battery always supplies more than needed.
     is_verified : bool
         Whether all deviations and shortfalls are within the tolerances of the required accuracy.
     is_usable : bool
-        Like `is_verified`, with the tolerances `scenario.accuracy.USABLE`: those of the lowest
-        accuracy, with a wider tolerance for the final states.
+        Like `is_verified`, with the wider tolerances `scenario.accuracy.USABLE`.
     reached : Accuracy or None
-        The highest accuracy level, up to the required one, with all deviations and shortfalls
-        within its tolerances. None if no level is reached.
+        Highest accuracy level, up to the required one, whose tolerances the flight keeps; None if
+        there is no such level.
     """
 
     terminal_miss: Mapping[str, float]
@@ -275,8 +229,8 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    The fraction is (needed - supplied) / needed. It is negative if the battery always supplies more
-    than needed, and 0 for a model without motor voltage or battery voltage.
+    The fraction is (needed - supplied) / needed, negative if the battery always supplies more. It
+    is 0 for a model without motor voltage or battery voltage.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -293,16 +247,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message if a flight leaves the wind field of its plan, otherwise an empty text.
 
-    A wind field gives the wind as a function of place and time, in a limited region and period.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the wind field.
-    dynamics : Dynamics
-        Equations of the vehicle. The result is empty if their states do not include the position.
-    flown : Flown
-        Samples of the flight.
+    The message is empty, too, if the states of `dynamics` do not include the position.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""
@@ -335,17 +280,8 @@ def has_balance(dynamics: Dynamics) -> bool:
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     """Return the largest fractions of power and charge that a battery lacks at given times.
 
-    Parameters
-    ----------
-    balance : ndarray, shape (n, 4)
-        Power drawn [W], voltage [V], current [A] and state of charge [percent] of the battery at n
-        times: the columns of `BALANCE_KEYS`.
-
-    Returns
-    -------
-    (float, float)
-        First, the largest fraction of the power that the battery cannot supply. Second, the charge
-        drawn beyond an empty battery, as a fraction of the capacity; negative if charge remains.
+    `balance` has one row per time and the columns of `BALANCE_KEYS`. The lacking charge is relative
+    to the capacity, and negative if charge remains.
     """
     power, voltage, current, charge = balance.T
     # The battery's equations keep voltage and current finite beyond the greatest power of the pack.
@@ -371,29 +307,10 @@ def samples_of_path(
     airspace: Airspace | None,
     spacing: float,
 ) -> list[FloatArray]:
-    """Return where to sample a simulated flight in each mesh element, to check limits on position.
+    """Return where to sample each mesh element of a simulated flight, to check limits on position.
 
-    All elements have equally spaced samples. If the path between two nodes may reach a zone,
-    samples at most `spacing` [m] apart are added. If it may reach a height limit over terrain, the
-    added samples are at most 1/20 of a step of the terrain grid apart.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the plan. If the position is not among the states, no samples are added.
-    mesh : Mesh
-        Mesh of the plan.
-    states : ndarray, shape (n_points + 1, n_states)
-        Planned states at the nodes.
-    airspace : Airspace or None
-        Zones and ground.
-    spacing : float
-        Distance between samples near a zone [m].
-
-    Returns
-    -------
-    list of ndarray
-        For each element, increasing fractions of the element, ending with 1.
+    The samples are fractions of the element, increasing to 1. Near zones, they are at most
+    `spacing` [m] apart; near height limits over terrain, 1/20 of a grid step.
     """
     if airspace is None or not set(POSITION_STATES) <= set(dynamics.state_names):
         return [_equal_shares(SAMPLES_PER_ELEMENT)] * mesh.elements
@@ -463,41 +380,9 @@ def verify_controls(
 ) -> tuple[Verification, Flown]:
     """Simulate a plan's controls and compare the flight with the plan.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the plan.
-    mesh : Mesh
-        Mesh of the plan.
-    states : ndarray, shape (n_points + 1, n_states)
-        Planned states at the nodes, in the order of `dynamics.state_names`.
-    controls : ndarray, shape (n_points, n_controls)
-        Planned controls at the collocation points.
-    horizon : (float, float)
-        Start and end time [s].
-    energy : float
-        Planned energy [J].
-    airspace : Airspace, optional
-        Zones and terrain. Near these, the flight is sampled densely.
-    passages : sequence of Passage, optional
-        Waypoints that the flight must pass, with their times.
-    accuracy : Accuracy, optional
-        The required accuracy. It sets the tolerances of the verification, the tolerances of the
-        integrator, and the distance between samples near zones.
-    goal : ndarray, shape (n_states,), optional
-        Final states that the flight should reach; by default the last planned states.
-
-    Returns
-    -------
-    Verification
-        Comparison of the simulated flight with the plan.
-    Flown
-        Samples of the simulated flight.
-
-    Raises
-    ------
-    SolveError
-        If the integrator fails or the time limit passes.
+    Near the zones and height limits of `airspace`, the flight is sampled densely. `energy` is the
+    planned energy [J]. `goal` has the final states to reach, by default those planned. See
+    `fly_controls` for errors.
     """
     figures = FIGURES[accuracy]
     flown = fly_controls(
@@ -523,26 +408,8 @@ def compared(
 ) -> Verification:
     """Compare a flight with the plan: final states, energy, limits and battery.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the plan.
-    flown : Flown
-        Samples of the flight.
-    energy : float
-        Planned energy [J].
-    wanted : ndarray, shape (n_states,)
-        Final states that the flight should reach.
-    passages : sequence of Passage
-        Waypoints that the flight should pass, with times.
-    accuracy : Accuracy
-        The required accuracy, which sets the tolerances.
-
-    Returns
-    -------
-    Verification
-        Deviations of the flight from the plan, violated limits, shortfalls of the battery, and the
-        accuracy level that the flight reaches.
+    `energy` is the planned energy [J], and `wanted` has the final states that the flight should
+    reach.
     """
     figures = FIGURES[accuracy]
     planned = dict(zip(dynamics.state_names, wanted, strict=True))
@@ -609,11 +476,7 @@ def tolerated(breach: Violation, figures: Figures) -> float:
 
 
 def beyond(breaches: Iterable[Violation], figures: Figures) -> tuple[Violation, ...]:
-    """Return those violations of limits that exceed the tolerances of an accuracy level.
-
-    `breaches` has violations of different limits, and `figures` has the tolerances. The order of
-    the violations is kept.
-    """
+    """Return those violations of limits that exceed the tolerances `figures`, in the same order."""
     return tuple(breach for breach in breaches if breach.size > tolerated(breach, figures))
 
 

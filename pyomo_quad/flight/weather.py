@@ -27,18 +27,8 @@ if TYPE_CHECKING:
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     """Return the equations of the vehicle in the actual wind and its turbulence, for simulation.
 
-    Parameters
-    ----------
-    planner : Planner
-        Planner that has compiled the equations without turbulence.
-    scenario : Scenario
-        A scenario with a fixed duration.
-
-    Returns
-    -------
-    Dynamics
-        With turbulence, equations that include the states of the turbulence filters. Without
-        turbulence, the planner's own equations.
+    With turbulence, the states include those of the turbulence filters. The duration of the flight
+    must be fixed.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)
@@ -51,33 +41,13 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 
 
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
-    """Draw random winds, masses and powers for many simulated flights.
+    """Draw random winds, masses and powers for `count` simulated flights of fixed duration.
 
-    If the scenario states the error of its wind forecast, each flight has its own wind: the
-    forecast plus a random error. Otherwise all flights have the actual wind.
-
-    Parameters
-    ----------
-    planner : Planner
-        Planner that has compiled the equations.
-    scenario : Scenario
-        A scenario with a fixed duration.
-    count : int
-        Number of flights.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    Dynamics
-        Equations of the vehicle for all flights, with parameter values free of random errors. With
-        turbulence or uncertain quantities, the states include those of the turbulence filters.
-    Draws
-        Random parameter values, filter noise and initial filter states of each flight. They are
-        empty if the scenario has neither turbulence nor uncertain quantities. The random numbers of
-        a flight depend only on the seed and the index of the flight.
+    If the scenario states no error of the wind forecast, all flights have the actual wind. The
+    draws of a flight depend only on `seed` and the index of the flight.
     """
     told = scenario.as_forecast().wind
+    # With an error of the forecast, each wind is the forecast plus a random error.
     if told.speed_deviation or told.direction_deviation:
         scenario = as_expected(scenario)
     changes = unknowns(planner, scenario)
@@ -127,10 +97,7 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return a copy of a scenario whose wind is the forecast wind, with turbulence.
-
-    Plans are made for the forecast wind. The turbulence is that of the wind in `scenario`.
-    """
+    """Return a copy of a scenario with the forecast wind and the turbulence of the actual wind."""
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})
@@ -139,28 +106,16 @@ def as_expected(scenario: Scenario) -> Scenario:
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
     """Return the change of the model's parameters by one standard deviation of each uncertainty.
 
-    The uncertain quantities are speed and direction of the wind, mass, and hover power. A quantity
-    without standard deviation in the scenario is left out. In calm air, the direction is left out,
-    too.
-
-    Parameters
-    ----------
-    planner : Planner
-        Planner with which the hover power is computed, if the hover power is uncertain.
-    scenario : Scenario
-        Scenario that states the standard deviations and the forecast wind.
-
-    Returns
-    -------
-    tuple of dict
-        One dictionary for each uncertain quantity: full name of a parameter of
-        `problem_in_turbulence` -> change of the parameter's value.
+    For each uncertain quantity (speed and direction of the wind, mass, hover power), a dictionary
+    maps full names of parameters to their changes. Quantities without standard deviation are left
+    out.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told).tolist()
     speed = hypot(along, aside)
     # In calm air, the error of the speed has the direction of the scenario's steady wind.
     ahead = (along / speed, aside / speed) if speed else _direction(told)
+    # In calm air, `turned` is 0, and the direction is left out at the end.
     faster, turned = told.wind.speed_deviation, told.wind.direction_deviation * speed
     watts = scenario.power.hover_power_deviation
     share = watts / planner.steady_flight(told).hover_power if watts else 0.0

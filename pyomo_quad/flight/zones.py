@@ -1,8 +1,8 @@
 """Geometry of keep-out zones near a leg: intersections, sides of passage, and points round a zone.
 
-A leg is the line between two waypoints. The side on which a route passes a zone is determined where
-the route crosses a vertical plane across the leg. If the leg enters the zone, the plane halves the
-part of the leg inside. Otherwise, the plane goes through the point of the leg nearest to the zone.
+A leg is the line between two waypoints. A vertical plane across the leg shows on which side a route
+passes a zone. If the leg enters the zone, the plane goes through the middle of the part inside.
+Otherwise, it goes through the point of the leg nearest to the zone.
 """
 
 from collections.abc import Sequence
@@ -42,21 +42,10 @@ class Side(StrEnum):
 
 
 def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
-    """Return the keep-out zones that a path of straight lines intersects or approaches too closely.
+    """Return the keep-out zones to which a path of straight lines comes closer than a clearance.
 
-    Parameters
-    ----------
-    zones : sequence of KeepOut
-        Zones to check.
-    places : ndarray, shape (n, 3)
-        Corners of the path, which straight lines join in this order [m].
-    clearance : float
-        Distance that the path must keep from each zone [m].
-
-    Returns
-    -------
-    list of KeepOut
-        The zones to which the path comes closer than the clearance.
+    `places` are the corners of the path in order, shape (n, 3) [m], and `clearance` is the distance
+    to keep [m].
     """
     return [
         zone
@@ -71,10 +60,9 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
 def are_blocked(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> NDArray[np.bool_]:
-    """Return which of n straight lines intersect a keep-out zone enlarged by its clearance.
+    """Return which of n straight lines intersect a keep-out zone enlarged by a clearance [m].
 
-    `starts` and `ends` are the ends of the lines, shape (n, 3), and `clearance` is the distance
-    kept from the zone, all in m. The result has shape (n,).
+    `starts` and `ends` are the ends of the lines [m], shape (n, 3). The result has shape (n,).
     """
     entered, left = _spans_inside(zone, starts, ends, clearance)
     return np.asarray(np.minimum(left, 1.0) - np.maximum(entered, 0.0) > ROUNDING)
@@ -121,27 +109,11 @@ def sides_passed(
 ) -> NDArray[np.intp]:
     """Return the side on which each of n straight lines passes a keep-out zone.
 
-    The side is determined where a line crosses the vertical plane across the leg. The docstring of
-    this module defines the plane. Here, the zone is enlarged by `clearance`.
-
-    Parameters
-    ----------
-    zone : KeepOut
-        The zone.
-    ends : ndarray, shape (2, 3)
-        Ends of the leg near which the zone lies [m].
-    clearance : float
-        Distance kept from the zone [m].
-    starts, stops : ndarray, shape (n, 3)
-        Ends of the straight lines [m].
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        For each line, the index of its side in `Side`, or -1 if the line does not cross the plane.
-        If the plane goes through an end of the leg, all items are -1.
+    The result is an index in `Side`, or -1 for a line that does not cross the plane of the module
+    docstring. `ends` are the ends of the leg.
     """
     section = _section(zone, ends, clearance)
+    # The plane goes through an end of the leg.
     if section is None:
         return np.full(len(starts), -1)
     first, last = ((places - section.middle) @ section.along for places in (starts, stops))
@@ -255,24 +227,10 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 
 
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return points round a keep-out zone, through which a route can pass the zone.
+    """Return points round a keep-out zone, shape (n, 3) [m], as nodes of a graph of routes.
 
-    The points become nodes of the graph in which shortest routes are searched. Straight lines
-    between neighbouring points keep the clearance from the zone.
-
-    Parameters
-    ----------
-    zone : KeepOut
-        The zone.
-    clearance : float
-        Distance kept from the zone [m].
-    ends : ndarray, shape (2, 3)
-        Ends of the leg (line between two waypoints) near which the zone lies [m].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        The points [m].
+    Straight lines between neighbouring points keep the clearance from the zone. `ends` are the ends
+    of the leg near the zone, shape (2, 3) [m].
     """
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)

@@ -1,9 +1,9 @@
 """Readers of autopilot logs: PX4 (`.ulg`) and ArduPilot (`.BIN`).
 
-The readers return a table with the columns of a flight log, which the mapping `COLUMNS` of the
-module `identification.columns` lists. Each row is the average over a second of flight. Each log is
-one flight, named after its file. All airborne rows count as cruise, and the payload is 0. If the
-log has no barometer, the air density at sea level is assumed.
+The readers return a table with the columns of `identification.columns.COLUMNS`. Each row is the
+average over a second of flight. Each log is one flight, named after its file. All airborne rows
+count as cruise, and the payload is 0. If the log has no barometer, the air density at sea level is
+assumed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -90,25 +90,8 @@ def _seconds_aloft(
 def read_ulog(file: Path) -> pd.DataFrame:
     """Read a PX4 log (`.ulg`) as averages over each second of flight.
 
-    The wind is the autopilot's estimate.
-
-    Parameters
-    ----------
-    file : Path
-        The log, which is one flight, named after the file.
-
-    Returns
-    -------
-    DataFrame
-        One row for each second, with the columns of `identification.columns.COLUMNS`. All airborne
-        rows count as cruise with payload 0. Without a barometer, the air density at sea level is
-        assumed.
-
-    Raises
-    ------
-    ScenarioError
-        If the package `pyulog` is missing, or if the log is damaged, has no battery current, or
-        lacks a required topic or field.
+    The wind is the autopilot's estimate. A ScenarioError is raised if the package `pyulog` is
+    missing, or if the log is damaged or lacks the battery current or a required topic or field.
     """
     with _reader_errors("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
@@ -173,26 +156,8 @@ _USUAL_CELSIUS = 15.0
 def read_ardupilot(file: Path) -> pd.DataFrame:
     """Read an ArduPilot log (`.BIN`) as averages over each second of flight.
 
-    Motion and wind are the estimates of the first instance of the Kalman filter EKF3. If the filter
-    does not estimate the wind, the air is taken to be calm.
-
-    Parameters
-    ----------
-    file : Path
-        The log, which is one flight, named after the file.
-
-    Returns
-    -------
-    DataFrame
-        One row for each second, with the columns of `identification.columns.COLUMNS`. All airborne
-        rows count as cruise with payload 0. Without a barometer, the air density at sea level is
-        assumed.
-
-    Raises
-    ------
-    ScenarioError
-        If the package `pymavlink` is missing, or if the log is damaged, has no battery current, or
-        lacks a required kind of message or field.
+    Motion and wind are estimates of the first Kalman filter EKF3. Without an estimate of the wind,
+    the air is calm. A missing `pymavlink` or a damaged or incomplete log raises a ScenarioError.
     """
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read

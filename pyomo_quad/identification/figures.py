@@ -116,18 +116,9 @@ def draw_energies(found: Identification) -> Figure:
 
 
 def shown_flights(frame: pd.DataFrame) -> list[object]:
-    """Select a slow, an average and a fast flight of a log, to be drawn over time.
+    """Return the names of a slow, an average and a fast flight of a log, from slow to fast.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of all flights.
-
-    Returns
-    -------
-    list
-        Names of three flights, from slow to fast. If there are fewer than three, names of all
-        flights.
+    With fewer than three flights, the result has the names of all flights.
     """
     speeds = pd.Series(cruise_speeds(frame), index=frame[FLIGHT].to_numpy())
     each = speeds.groupby(level=0, sort=False).first().sort_values(kind="stable")
@@ -136,15 +127,9 @@ def shown_flights(frame: pd.DataFrame) -> list[object]:
 
 
 def draw_power(found: Identification) -> Figure:
-    """Draw the measured and the computed power of three flights over time.
+    """Draw the measured and the computed power of a slow, an average and a fast flight over time.
 
-    The flights are a slow, an average and a fast one. Each flight's power is computed with a model
-    that was fitted to other flights.
-
-    Parameters
-    ----------
-    found : Identification
-        Vehicle fitted to flights.
+    Each flight's power is computed with a model that was fitted to other flights.
     """
     chosen = shown_flights(found.frame)
     size = 1.7 * len(chosen) + 0.6
@@ -170,16 +155,8 @@ def draw_power(found: Identification) -> Figure:
 def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
     """Draw measured and computed cell voltage of three flights, and the error of each flight.
 
-    The left panel shows a slow, an average and a fast flight over time. The right panel has one
-    point per flight: horizontally the pack's resistance divided by that of the median pack,
-    vertically the root mean square error.
-
-    Parameters
-    ----------
-    found : Identification
-        Vehicle fitted to flights.
-    pack : PackIdentification
-        Battery fitted to the same flights.
+    The left panel shows the voltages over time. The right panel shows the root mean square error
+    over the resistance of the flight's pack, relative to the median pack.
     """
     figure, (left, right) = full_width(3.4, (1, 2), top=0.92, bottom=0.15, wspace=0.28)
     known = set(pack.flights[FLIGHT])
@@ -212,13 +189,8 @@ def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
 def draw_curve(found: Identification) -> Figure:
     """Draw the power of steady level flight over airspeed for each payload, with measurements.
 
-    The curves are computed with the fitted model, at the mean air density of the flights. Each dot
-    is the mean measured power of cruise at one airspeed, if it has at least 20 rows.
-
-    Parameters
-    ----------
-    found : Identification
-        Vehicle fitted to flights.
+    The curves are computed with the fitted model at the mean air density. A dot is the mean
+    measured power in cruise at one airspeed with at least 20 rows.
     """
     is_cruise = (found.frame[PHASE] == CRUISE).to_numpy()
     frame, airspeed = found.frame[is_cruise], found.airspeeds[is_cruise]

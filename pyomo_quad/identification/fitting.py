@@ -3,9 +3,8 @@
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
 A residual is the mean computed power minus the mean measured power in a time window of 10 s. The
-power is averaged because noise dominates the airspeed and the acceleration in a single row of the
-log. Large residuals, for example in gusts or ground effect, count linearly instead of
-quadratically.
+average reduces the noise of airspeed and acceleration in the rows of the log. Large residuals, for
+example in gusts or ground effect, count linearly instead of quadratically.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -76,8 +75,8 @@ class FittedParameter:
     name : str
         Name of the field.
     base, value, deviation : float
-        Value before the fit, fitted value, and standard deviation of the fitted value, in the
-        field's unit. The deviation is 0 for a field that is not determined.
+        Value before the fit, fitted value, and its standard deviation, which is 0 if the field is
+        not determined.
     is_determined : bool
         Whether the measurements determine the field. Otherwise, `value` equals `base`.
     is_at_bound : bool
@@ -101,20 +100,17 @@ class IdentifiedParameter:
     name : str
         Name of the field.
     base, base_source : float, str
-        Value before the fit, in the field's unit, and the source of this value in words. The source
-        may be an earlier fit to the same flights.
+        Value before the fit, and its source.
     value : float
         Fitted value.
     first_half, second_half : float
-        Values fitted to one half of the flights and to the other half. No flight is in both halves,
-        so that the two values are independent.
+        Values fitted to each half of the flights.
     deviation : float
-        Standard deviation by bootstrap over the flights; 0 for a field that is not determined.
+        Standard deviation by bootstrap; 0 if undetermined.
     is_determined : bool
-        Whether the flights determine the field. Otherwise, `value` and the values of both halves
-        equal `base`.
+        Whether the flights determine the field. If not, all values equal `base`.
     is_at_bound : bool
-        Whether the fitted value lies at an end of its permitted range.
+        Whether `value` is at a bound.
     """
 
     name: str
@@ -137,25 +133,19 @@ class Identification:
     scenario : Scenario
         Scenario with the fitted vehicle.
     frame : DataFrame
-        Rows of all flights, with the columns of a flight log, which the mapping
-        `identification.columns.COLUMNS` lists.
+        Rows of all flights.
     parameters : tuple of IdentifiedParameter
         Result for each field that was to be fitted.
     correlations : DataFrame
-        Correlation matrix of the fitted parameters; index and columns are the parameters' names.
-    fitted_power : ndarray, shape (n_rows,)
-        Computed power of each row by the fit to all flights [W].
-    cross_validated : ndarray, shape (n_rows,)
-        Computed power of each row by a fit without the row's flight [W].
+        Correlation matrix of the fitted parameters.
+    fitted_power, cross_validated : ndarray, shape (n_rows,)
+        Power computed by the fit to all flights, and by a fit without the row's flight [W].
     trials : tuple of Trial
-        Errors of extrapolations, such as the error in the energy of fast flights after a fit to
-        slow flights.
+        Errors of extrapolations.
     together : tuple of (str, str)
-        One pair of names for each parameter that the flights do not determine: its own name, and
-        that of the parameter with the most similar effect on the power, or "" if no effect is
-        similar.
+        Result of `confounded` for the undetermined fields.
     cautions : tuple of str
-        Warnings that the rows are too few or too far apart in time.
+        Warnings about the rows.
     """
 
     scenario: Scenario
@@ -175,20 +165,10 @@ class Identification:
         return np.hypot(north, east) * self.scenario.vehicle.anemometer_factor
 
     def excess(self, slowest: float, fastest: float) -> float:
-        """Return the mean of measured minus computed power in cruise, in a range of airspeeds.
+        """Return the mean of measured minus computed power in cruise, in a range of airspeeds [W].
 
-        The computed power is that of the fit to all flights.
-
-        Parameters
-        ----------
-        slowest, fastest : float
-            Horizontal airspeeds v of the range, slowest <= v < fastest [m/s].
-
-        Returns
-        -------
-        float
-            Mean difference over the rows of the log in cruise in this range [W]; NaN without such
-            rows.
+        The power is that of the fit to all flights. The horizontal airspeed v satisfies slowest <=
+        v < fastest [m/s]. Without such rows, the result is NaN.
         """
         is_between = (slowest <= self.airspeeds) & (self.airspeeds < fastest)
         is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & is_between
@@ -205,11 +185,9 @@ class Fit:
     motion : LoggedMotion
         Motion of the flights, from which the power is computed.
     scenario : Scenario
-        Scenario with the vehicle before the fit. It gives the initial values of the fitted fields,
-        and the values of all other fields.
+        Scenario with the vehicle before the fit, whose values are the initial values.
     names : sequence of str
-        The n fields to fit, which are the parameters of the least-squares problem. `FITTABLE` lists
-        the fields that can be chosen.
+        The n fields to fit, from `FITTABLE`: the parameters of the least-squares problem.
     """
 
     def __init__(self, motion: LoggedMotion, scenario: Scenario, names: Sequence[str]) -> None:
@@ -243,24 +221,10 @@ class Fit:
         return self._motion.power({component(name): value for name, value in named})
 
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Average a measured or computed power over time windows of some seconds.
+        """Average a measured or computed power over the time windows of the log [W].
 
-        The residuals of the fit are differences between measured and computed averages. A window is
-        returned if it contains at least one of the chosen rows of the log.
-
-        Parameters
-        ----------
-        power : ndarray, shape (n_rows,)
-            Power in each row of the log [W].
-        rows : ndarray of bool, shape (n_rows,)
-            True for the rows to include in the averages.
-
-        Returns
-        -------
-        mean : ndarray, shape (n_windows,)
-            Mean power of each window [W].
-        first : ndarray of int, shape (n_windows,)
-            Index, in the log, of the first included row of each window.
+        `rows` is True for the rows to average. The results are the mean of each window with such
+        rows, and the index of its first such row in the log.
         """
         _, first, inverse = np.unique(self._window[rows], return_index=True, return_inverse=True)
         mean = np.bincount(inverse, power[rows]) / np.bincount(inverse)
@@ -269,18 +233,8 @@ class Fit:
     def over(self, rows: Rows, start: FloatArray | None = None) -> FloatArray:
         """Fit the parameters to the measured power in a part of the log, such as half the flights.
 
-        Parameters
-        ----------
-        rows : ndarray of bool, shape (n_rows,)
-            True for the rows of the log that the fit uses; all other rows are ignored.
-        start : ndarray, shape (n,), optional
-            Values of the parameters from which the iteration starts; by default the values of the
-            vehicle before the fit.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Fitted values of the parameters, in the order of `names`.
+        `rows` is True for the rows to use. The iteration starts from `start`, by default the values
+        before the fit. The result has shape (n,).
         """
         if not self.names:
             return self.base
@@ -294,18 +248,8 @@ class Fit:
     def slopes(self, values: FloatArray) -> FloatArray:
         """Return the derivatives of the computed power with respect to each fitted parameter.
 
-        The power is averaged over each time window of the log (see `windows`). The derivatives are
-        finite differences.
-
-        Parameters
-        ----------
-        values : ndarray, shape (n,)
-            Values of the parameters at which the derivatives are taken.
-
-        Returns
-        -------
-        ndarray, shape (n_windows, n)
-            Derivatives, W per unit of the parameter.
+        They are finite differences of the power averaged by `windows`, shape (n_windows, n), in W
+        per unit of the parameter.
         """
         at, _ = self.windows(self.power(values), self.everything)
         columns = []
@@ -317,21 +261,10 @@ class Fit:
         return np.column_stack(columns) if columns else np.zeros((len(at), 0))
 
     def drawn_anew(self, values: FloatArray) -> FloatArray:
-        """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
+        """Return the parameters fitted to random draws of flights (bootstrap), shape (n_draws, n).
 
-        Each draw chooses as many flights as the log has, with replacement. The draws are seeded:
-        equal input gives equal draws. To save time, the fits use the power linearised about
-        `values`. See docs/theory/identification.md, eq. (4).
-
-        Parameters
-        ----------
-        values : ndarray, shape (n,)
-            Values of the parameters from the fit to all flights.
-
-        Returns
-        -------
-        ndarray, shape (n_draws, n)
-            Fitted values of the parameters, one row for each draw.
+        Each draw chooses as many flights as the log has, with replacement. Equal input gives equal
+        draws. See docs/theory/identification.md, eq. (4).
         """
         slopes = self.slopes(values)
         at, first = self.windows(self.power(values), self.everything)
@@ -364,14 +297,8 @@ class Fit:
     def parameter(self, name: str, values: FloatArray, deviations: FloatArray) -> FittedParameter:
         """Return the result of the fit for one field of the vehicle.
 
-        A field that is not among the fitted `names` keeps the value before the fit.
-
-        Parameters
-        ----------
-        name : str
-            Name of the field.
-        values, deviations : ndarray, shape (n,)
-            Fitted values and their standard deviations, in the order of `names`.
+        `values` and `deviations` have the fitted values and their standard deviations, shape (n,).
+        A field that was not fitted keeps its value.
         """
         value = base = float(getattr(self._scenario.vehicle, name))
         deviation, distance = 0.0, np.inf
@@ -439,14 +366,8 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A parameter is undetermined if it has almost no effect on the computed power, or if changes of
-    the other parameters can cancel almost all of its effect. The effects are taken at the values
-    before the fit. See docs/theory/identification.md, eq. (3).
-
-    Parameters
-    ----------
-    fit : Fit
-        Least-squares problem with all parameters that are to be fitted.
+    Such a parameter has almost no effect on the computed power, or changes of the other parameters
+    can cancel almost all of its effect. See docs/theory/identification.md, eq. (3).
     """
     slopes = fit.slopes(fit.base)
     # The least magnitude ensures that a parameter with the value 0 is changed, too.
@@ -470,30 +391,18 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude of each parameter in `undetermined`, in the unit of the parameter.
+    """Return the least magnitude of each parameter p for the test in `undetermined`, in p's unit.
 
-    The test in `undetermined` changes a parameter p in proportion to max(abs(p), least magnitude).
+    The test changes p in proportion to max(abs(p), least magnitude).
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Pair each undetermined parameter with the parameter that has the most similar effect.
+    """Pair each undetermined parameter in `lost` with the one that has the most similar effect.
 
-    The effect of a parameter is the derivative of the computed power with respect to the parameter.
-
-    Parameters
-    ----------
-    fit : Fit
-        Least-squares problem with all parameters.
-    lost : sequence of str
-        Names of the undetermined parameters.
-
-    Returns
-    -------
-    tuple of (str, str)
-        One pair for each undetermined parameter: its own name, and that of the parameter with the
-        most similar effect, or "" if no effect is similar.
+    The effect is the derivative of the computed power with respect to the parameter. If no effect
+    is similar, the second name of the pair is "".
     """
     slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)
@@ -513,25 +422,8 @@ def identify(
 ) -> Identification:
     """Fit the power parameters of a vehicle to measured flights, and assess the fit.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the vehicle before the fit, from the function `motion.vehicle_scenario`.
-    frame : DataFrame
-        Rows of at least two flights, from the function `logs.read_logs`.
-    names : sequence of str, optional
-        Fields of the vehicle to fit. `FITTABLE` lists the fields that can be chosen.
-
-    Returns
-    -------
-    Identification
-        Fitted vehicle, uncertainties, and errors on flights that were left out of the fit.
-
-    Raises
-    ------
-    ScenarioError
-        If there is only one flight, or if no attitude and thrust of the vehicle produce a logged
-        acceleration.
+    `scenario` comes from `vehicle_scenario`, and `frame` from `read_logs`. If there is only one
+    flight, or if the vehicle cannot produce a logged acceleration, a ScenarioError is raised.
     """
     flights = frame[FLIGHT].unique()
     if len(flights) < 2:

@@ -70,24 +70,10 @@ _BATCH_ROWS = 65_536
 
 
 def read_logs(file: Path) -> pd.DataFrame:
-    """Read the rows of a flight log, without the rows on the ground.
+    """Read the rows in flight of a log: Parquet, CSV, PX4 `.ulg` or ArduPilot `.BIN`.
 
-    Parameters
-    ----------
-    file : Path
-        Parquet, CSV, PX4 `.ulg` or ArduPilot `.BIN` file.
-
-    Returns
-    -------
-    DataFrame
-        The rows in flight. The columns are those of the mapping `identification.columns.COLUMNS`.
-        Voltage and current are added if the log has them.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, lacks a column, or holds values that no flight can have. The
-        message lists the required columns.
+    The columns are those of `identification.columns.COLUMNS`, and voltage and current if logged. If
+    the file cannot be read, lacks a column or holds impossible values, a ScenarioError is raised.
     """
     try:
         return _read_rows(file)
@@ -119,23 +105,8 @@ def _read_rows(file: Path) -> pd.DataFrame:
 def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
     """Read battery voltage and current of a log's flights, including rows on the ground.
 
-    Parameters
-    ----------
-    file : Path
-        The log.
-    flown : DataFrame
-        Rows of the log from `read_logs`, which select the flights to read.
-
-    Returns
-    -------
-    DataFrame
-        Columns flight, time, voltage and current; empty if the log lacks one of these columns. Rows
-        with a missing value are left out.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read.
+    `flown` has rows of the flights from `read_logs`. The columns are flight, time, voltage and
+    current; without one of these, the result is empty. An unreadable file raises a ScenarioError.
     """
     whole = _read(file, printable(str(file)))
     wanted = [FLIGHT, TIME, *_ELECTRIC]
@@ -146,20 +117,10 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
 
 
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
-    """Join the flights of several logs in one table.
+    """Join the flights of several logs, given as file and rows, in one table.
 
-    If two logs have a flight of the same name, or if the types of the names differ, the name of the
-    log is put before each flight's name.
-
-    Parameters
-    ----------
-    logs : sequence of (Path, DataFrame)
-        File of each log, and its rows.
-
-    Raises
-    ------
-    ScenarioError
-        If two flights still have the same name.
+    If two flights have the same name, or the names differ in type, the name of the log precedes
+    each name. If two names are then still equal, a ScenarioError is raised.
     """
     held = [frame for _, frame in logs]
     if not _names(held).is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:
@@ -183,27 +144,15 @@ def _names(frames: Sequence[pd.DataFrame]) -> "pd.Series[Any]":
 def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
     """Remove flights that are copies of other flights.
 
-    Two flights are copies if their rows are equal, with times counted from the first row of each
-    flight. Numbers are compared in single precision, because a copy written as text may lack the
-    last digits.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of all flights.
-
-    Returns
-    -------
-    DataFrame
-        Rows without copies.
-    dict
-        Name of each removed copy -> name of its original.
+    The rows of a copy equal those of its original, with times counted from the first row. The
+    second result maps the name of each copy to the name of its original.
     """
     numbers = frame[[name for name in COLUMNS if name not in _TEXTS]]
     first: dict[bytes, str] = {}
     copies: dict[str, str] = {}
     for flight, rows in frame.groupby(FLIGHT, sort=False).indices.items():
         own = numbers.iloc[rows].assign(**{TIME: lambda f: f[TIME] - f[TIME].iloc[0]})
+        # In single precision, because a copy written as text may lack the last digits.
         key = sha256(own.to_numpy(dtype=np.float32).tobytes()).digest()
         if first.setdefault(key, str(flight)) != str(flight):
             copies[str(flight)] = first[key]
@@ -391,7 +340,7 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
     """Yield an error message for each column of a log with a value outside its range in `_SOUND`.
 
-    The message quotes the first of these values.
+    The message quotes the first such value of the column.
     """
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()
@@ -433,22 +382,10 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Raise an error if the power seems to be in mW or kW instead of W, or the payload in g.
+    """Raise a ScenarioError if the power seems to be in mW or kW instead of W, or the payload in g.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of the flights.
-    mass_kg : float
-        Mass of the vehicle without payload, which sets the plausible ranges.
-    source : str
-        Name of the log, for the message.
-
-    Raises
-    ------
-    ScenarioError
-        If the median power of a flight is plausible only in milliwatts or kilowatts, or the median
-        payload only in grams.
+    The medians of each flight are tested. `mass_kg`, the mass without payload, sets the plausible
+    ranges. `source` names the log in the message.
     """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         power, payload = float(rows[POWER].median()), float(rows[PAYLOAD].median())

@@ -4,7 +4,7 @@ Method: see docs/theory/identification.md, eq. (1).
 
 Airspeed and acceleration come from the log. For each row of the log, the equations of the vehicle's
 model are solved for the attitude and the rotor speed that produce the acceleration. The same
-equations then give the power. They are the compiled equations of the planner.
+equations then give the power.
 """
 
 from collections.abc import Mapping
@@ -49,30 +49,14 @@ _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
     """Make a scenario for the identification of a vehicle: a short mission in calm air.
 
-    The mission has no effect on the identification. The air is calm, so that the model's velocity
-    over ground can be set to the logged velocity through the air.
-
-    Parameters
-    ----------
-    base : str
-        Vehicle of the library, or path of a vehicle file (.toml).
-    model : PowerModel, optional
-        Power model, whose parameters are identified.
-
-    Returns
-    -------
-    Scenario
-        Scenario with the vehicle and the power model.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such vehicle, or the vehicle lacks a required field, such as the mass.
+    `base` is a vehicle of the library or the path of a vehicle file (.toml). If there is no such
+    vehicle, or if it is incomplete, a ScenarioError is raised.
     """
     file = Path(base)
     tables = {
         "name": "logs",
         "vehicle": {"use": file.name if file.suffix == ".toml" else base},
+        # In calm air, the velocity over ground can be set to the logged velocity through the air.
         "wind": {"use": "calm", "coupling": "drag"},
         "power": {"model": model},
         # Every scenario needs a mission; this one is not flown.
@@ -112,23 +96,10 @@ class LoggedMotion:
         self._solved: dict[tuple[tuple[str, float], ...], Instants] = {}
 
     def power(self, numbers: Mapping[str, float] | None = None) -> FloatArray:
-        """Compute the power in each row of the log.
+        """Compute the power in each row of the log, shape (n_rows,) [W].
 
-        Parameters
-        ----------
-        numbers : mapping, optional
-            Changed values of the model's parameters, by full name, such as
-            ``vehicle.drag_linear``; all other parameters have the scenario's values.
-
-        Returns
-        -------
-        ndarray, shape (n_rows,)
-            Power [W].
-
-        Raises
-        ------
-        ScenarioError
-            If no attitude and thrust of the vehicle produce the logged acceleration of a row.
+        `numbers` has changed parameters by full name, such as ``vehicle.drag_linear``. If no
+        attitude and thrust produce a logged acceleration, a ScenarioError is raised.
         """
         changed = dict(numbers or {})
         deciding = {name: value for name, value in changed.items() if name not in self._power_only}

@@ -1,10 +1,10 @@
 """Fit of a battery's equivalent circuit to the voltages of flights.
 
-Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-validated by flight.
+Method: see docs/theory/identification.md, eqs. (7) to (9).
 
-The battery equations of the planner's model are simulated without the vehicle, under the measured
-powers of the flights. The packs differ in age and temperature. The voltage before the load gives
-the charge of a flight's pack at the start, the first seconds under load give its resistance.
+The battery equations of the planner's model are simulated under the measured powers of the flights.
+The packs differ in age and temperature. The voltage before the motors load a pack gives its charge
+at the start. The voltage in the first seconds under load gives its resistance.
 """
 
 from dataclasses import dataclass
@@ -82,7 +82,7 @@ class PackParameter:
 class PackIdentification:
     """Battery identified from flights, with the errors of its computed voltages.
 
-    An "unseen" flight is a flight that was left out of the fit with which its voltage is computed.
+    An "unseen" flight was left out of the fit with which its voltage is computed.
 
     Attributes
     ----------
@@ -91,19 +91,18 @@ class PackIdentification:
     parameters : tuple of PackParameter
         Fitted fields.
     flights : DataFrame
-        One row for each unseen flight. Columns: state of charge at start and end [percent],
-        resistance of the flight's pack relative to the median pack, and the errors `error_mV` and
-        `error_unread_mV` of this flight.
+        For each unseen flight: charge at start and end [percent], resistance relative to the median
+        pack, and errors.
     rows : DataFrame
-        One row for each time step of each unseen flight. Columns: flight, time [s], measured and
-        computed cell voltage [V].
+        Measured and computed cell voltage [V] of unseen flights over time [s].
     read_s : float
-        End of the first seconds under load, on the time axis of `rows` [s]. The voltages before
-        this time determine the resistance of a flight's pack.
-    error_mV, error_unread_mV, base_error_mV : float
-        Root mean square errors of the computed voltage in flight [mV per cell]. The first is the
-        error in unseen flights with the resistance of each flight's pack, the second with that of
-        the median pack. The third is the error in all flights with the battery before the fit.
+        End of the first seconds under load, in the time of `rows` [s].
+    error_mV : float
+        Root mean square error of unseen flights [mV per cell].
+    error_unread_mV : float
+        The same error, if every pack has the resistance of the median pack.
+    base_error_mV : float
+        Error of all flights with the battery before the fit.
     """
 
     scenario: Scenario
@@ -134,16 +133,16 @@ class _Flown(NamedTuple):
 class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
-    The arrays `power` [W] and `voltage` [V per cell] have one column per flight and one row per
-    time step; values after a flight are zero. A flight begins at most 3 s before the motors load
-    the pack. Flights that are too short or have no load are left out.
+    The arrays `power` [W] and `voltage` [V per cell] have one row per time step and one column per
+    flight, zero after its end. A flight begins at most 3 s before the motors load the pack. Flights
+    that are too short or without load are left out.
 
     Parameters
     ----------
     frame : DataFrame
-        Log of all flights from `read_voltages`, with flight, time, voltage and current as columns.
+        Result of `read_voltages`.
     cells : int
-        Number of cells in series.
+        Cells in series.
     """
 
     def __init__(self, frame: pd.DataFrame, cells: int) -> None:
@@ -209,29 +208,20 @@ class Record:
         return part
 
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Select the time steps of each flight that follow the first seconds under load.
+        """Select those of the time steps `rows` that follow the first seconds under load.
 
-        The first seconds are left out of the errors of the computed voltage, because the voltages
-        in these seconds determine the pack's resistance.
-
-        Parameters
-        ----------
-        rows : ndarray of bool, shape (n_times, n_flights)
-            True for the time steps among which to select.
-
-        Returns
-        -------
-        ndarray of bool, shape (n_times, n_flights)
-            True for the selected time steps.
+        Argument and result are boolean arrays, shape (n_times, n_flights).
         """
+        # The voltages in the first seconds determine the resistance of the pack.
         return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
 
 
 class Circuit:
     """Simulation of the battery's equivalent circuit under the measured powers of flights.
 
-    Each flight has its own charge at the start and its own factor on the resistance. The n fitted
-    fields of the battery are passed as logarithms, so that they remain positive.
+    Each flight has its own charge at the start. The methods take `values`, the logarithms of the n
+    fitted fields, which thus remain positive. `factor`, shape (n_flights,), multiplies the
+    resistance of each flight's pack.
 
     Parameters
     ----------
@@ -255,20 +245,7 @@ class Circuit:
         self.start = np.log(_as_given(scenario))
 
     def numbers(self, values: FloatArray, factor: FloatArray) -> dict[str, FloatArray]:
-        """Return the parameter values of the battery model for each flight, from the fitted fields.
-
-        Parameters
-        ----------
-        values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
-        factor : ndarray, shape (n_flights,)
-            Factor on the resistance of each flight's pack.
-
-        Returns
-        -------
-        dict
-            Name of the model's parameter -> its value for each flight, shape (n_flights,).
-        """
+        """Return the parameter values of the battery model by name, each of shape (n_flights,)."""
         told = dict(zip(FITTED.values(), np.exp(values).tolist(), strict=True))
         told[_DEPENDENT_PARAMETER] = self._full - told[FITTED["E0"]]
         return {name: np.full(len(factor), number) for name, number in told.items()} | {
@@ -278,23 +255,10 @@ class Circuit:
     def voltages(
         self, record: Record, values: FloatArray, factor: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Simulate the cell voltages of all flights, from the start for a number of time steps.
+        """Simulate the cell voltages of all flights in the first `count` time steps.
 
-        Parameters
-        ----------
-        record : Record
-            Measured powers.
-        values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
-        factor : ndarray, shape (n_flights,)
-            Factor on the resistance of each flight's pack.
-        count : int
-            Number of time steps, counted from the first row of the arrays of `record`.
-
-        Returns
-        -------
-        voltage, open_circuit : ndarray, shape (count, n_flights)
-            Cell voltage under load, and open-circuit voltage [V].
+        The results, shape (count, n_flights), are the voltage under load and the open-circuit
+        voltage [V].
         """
         told = self.numbers(values, factor)
         start = np.tile(self._begun, (len(factor), 1))
@@ -317,43 +281,14 @@ class Circuit:
         return voltage, open_circuit
 
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Simulate the cell voltage under load of all flights, at all times of the record.
-
-        Parameters
-        ----------
-        record : Record
-            Measured powers.
-        values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
-        factor : ndarray, shape (n_flights,)
-            Factor on the resistance of each flight's pack.
-
-        Returns
-        -------
-        ndarray, shape (n_times, n_flights)
-            Cell voltages [V].
-        """
+        """Simulate the cell voltage under load of all flights, shape (n_times, n_flights) [V]."""
         return self.voltages(record, values, factor, len(record.power))[0]
 
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
         """Return the charge that is missing from the pack at the start of each flight [A h].
 
-        The charge, counted from the full pack, follows from the open-circuit voltage at the start;
-        see docs/theory/identification.md, eq. (7).
-
-        Parameters
-        ----------
-        record : Record
-            Measured powers and voltages.
-        values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
-        factor : ndarray, shape (n_flights,)
-            Factor on the resistance of each flight's pack.
-
-        Returns
-        -------
-        ndarray, shape (n_flights,)
-            Charge missing from the whole pack of each flight [A h], at most 95 % of the capacity.
+        The charge follows from the open-circuit voltage at the start, and is at most 95 % of the
+        capacity. See docs/theory/identification.md, eq. (7).
         """
         # Voltage and power before the motors load the pack, or of the first row of the record.
         voltage, power = record.rest.T
@@ -374,20 +309,8 @@ class Circuit:
     def factors(self, record: Record, values: FloatArray) -> FloatArray:
         """Determine the factor on each pack's resistance from the first seconds under load.
 
-        The packs of the flights differ in age and temperature. The factor, limited to 0.2 to 5, is
-        chosen so that the mean computed voltage in these seconds equals the mean measured voltage.
-
-        Parameters
-        ----------
-        record : Record
-            Measured powers and voltages.
-        values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
-
-        Returns
-        -------
-        ndarray, shape (n_flights,)
-            Factors, relative to the resistance that the fitted fields give.
+        With the factor, which is limited to 0.2 to 5, the mean computed voltage in these seconds
+        equals the mean measured voltage.
         """
         factor = np.ones(len(record.names))
         for _ in range(_READINGS):
@@ -402,37 +325,18 @@ class Circuit:
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
         """Return computed minus measured cell voltage [V] of all flights, as one vector.
 
-        Each flight has its own factor on the resistance, which the first seconds under load
-        determine. These seconds are left out of the result.
-
-        Parameters
-        ----------
-        record : Record
-            Measured powers and voltages.
-        values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
+        The first seconds under load are left out, because they determine the factors on the
+        resistance.
         """
         factor = self.factors(record, values)
         computed = self.whole(record, values, factor)
         return (computed - record.voltage)[record.after_reading(record.is_logged)]
 
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
-        """Fit the circuit to the measured voltages of a record.
+        """Return the logarithms of the fields fitted to the measured voltages, shape (n,).
 
-        The fitted resistances are those of the median pack: the median of the results of `factors`
-        is 1.
-
-        Parameters
-        ----------
-        record : Record
-            Measured powers and voltages.
-        start : ndarray, shape (n,)
-            Initial logarithms of the fitted fields.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Fitted logarithms.
+        The iteration starts from `start`. The fitted resistances are those of the median pack: the
+        median of the results of `factors` is 1.
         """
         low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
         place = list(FITTED).index("relaxation.time_constant")
@@ -457,19 +361,8 @@ class Circuit:
 def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification | None:
     """Fit a battery's equivalent circuit to the voltages of flights, and assess the fit.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the battery before the fit. The voltage of the full cell, the polarisation
-        voltage K and the capacity are not fitted.
-    frame : DataFrame
-        All rows of the flights, including rows on the ground, from `read_voltages`.
-
-    Returns
-    -------
-    PackIdentification or None
-        Fitted battery, with the standard deviations of its fields and the errors of its computed
-        voltages. None if fewer than five flights are long enough.
+    `frame` comes from `read_voltages`. The voltage of the full cell, the polarisation voltage K and
+    the capacity are not fitted. If fewer than five flights are long enough, it returns None.
     """
     if frame.empty:
         return None
@@ -537,19 +430,8 @@ def _resistance(values: FloatArray) -> float:
 def with_circuit(scenario: Scenario) -> Scenario:
     """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
 
-    The circuit has a relaxation resistance, whose voltage drop builds up slowly, and a temperature
-    on which the resistances depend. If the battery has no relaxation, 40 % of the cell resistance
-    becomes the relaxation resistance. The state of health is that of a new pack.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario whose battery may have a single resistance and no temperature.
-
-    Returns
-    -------
-    Scenario
-        Copy whose battery has all fields of the circuit.
+    If the battery has no table `relaxation`, 40 % of the cell resistance becomes the relaxation
+    resistance. The state of health becomes that of a new pack.
     """
     pack = scenario.battery
     tables: dict[str, Any] = {}

@@ -55,19 +55,8 @@ def write_identification(
 ) -> None:
     """Write the results of an identification: vehicle file, report, tables and figures.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    found : Identification
-        Vehicle fitted to flights.
-    base : str
-        Vehicle before the fit: the name of a vehicle of the library, or the path of a vehicle file
-        (.toml).
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
-    pack : PackIdentification, optional
-        Battery fitted to the same flights, if the logs have voltages.
+    `folder` is empty. `base` is the vehicle before the fit: a name of the library or the path of a
+    vehicle file. `pack` is the battery fitted to the same flights.
     """
     battery = ""
     if pack is not None:
@@ -117,8 +106,7 @@ def identification_summary(
 ) -> dict[str, object]:
     """Return the results of an identification as a dictionary for `summary.json`.
 
-    `found` is the vehicle fitted to flights, and `pack` the battery fitted to the same flights, if
-    the logs have voltages.
+    `pack` is the battery fitted to the same flights, if the logs have voltages.
     """
     of_pack = {} if pack is None else {"pack": _pack_summary(pack)}
     return {
@@ -150,15 +138,9 @@ def _pack_summary(pack: PackIdentification) -> dict[str, object]:
 
 
 def pack_file(pack: PackIdentification) -> str:
-    """Return the text of a battery file with the fitted battery, each number with its source.
+    """Return the text of a battery file (TOML) with the fitted battery and sources of its values.
 
-    A battery file (TOML) holds the fields of a battery. Scenarios and vehicle files refer to it.
-    The state of health is left out.
-
-    Parameters
-    ----------
-    pack : PackIdentification
-        Battery fitted to flights.
+    The file lists all fields of the battery except the state of health.
     """
     battery = pack.scenario.battery
     deviations = {one.name: one.deviation for one in pack.parameters}
@@ -181,19 +163,8 @@ def pack_file(pack: PackIdentification) -> str:
 def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> Scores:
     """Write the computed energy of each flight and a summary into an empty folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder.
-    frame : DataFrame
-        Rows of the flights, with measured power.
-    power : ndarray, shape (n_rows,)
-        Computed power of each row [W].
-
-    Returns
-    -------
-    Scores
-        Errors of the computed energies and powers.
+    `power` is the computed power of each row of `frame`, shape (n_rows,) [W]. The result has the
+    errors.
     """
     write_table(energies(frame, power), folder / PREDICTIONS_NAME)
     found = scores(frame, power)
@@ -204,16 +175,8 @@ def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> S
 def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: str = "") -> str:
     """Return the text of a vehicle file: a base vehicle with some fields changed.
 
-    Parameters
-    ----------
-    changed : mapping
-        New value and its source, by the field's name.
-    base : str
-        Base vehicle: the name of a vehicle of the library, or the path of a vehicle file (.toml). A
-        battery file to which this file refers gets its absolute path.
-    battery : str, optional
-        Name of a battery file in the folder of the new vehicle file. Without a name, the battery of
-        the base vehicle is kept.
+    `changed` has value and source by field name. `base` is a vehicle of the library or the path of
+    a vehicle file. `battery` may name a battery file.
     """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}

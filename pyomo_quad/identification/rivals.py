@@ -35,16 +35,9 @@ _OURS = "momentum theory, declared"
 def model_table(found: Identification) -> pd.DataFrame:
     """Tabulate the errors of the published power models and of the identified model.
 
-    Parameters
-    ----------
-    found : Identification
-        Vehicle fitted to flights.
-
-    Returns
-    -------
-    DataFrame
-        One row for each model, the identified model last. Columns: number of fitted parameters,
-        errors of energy and power in cross-validation, and errors of energy in extrapolations.
+    The columns are the number of fitted parameters, the errors of energy and power in
+    cross-validation, and the errors of energy in extrapolations. The last row is the identified
+    model.
     """
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
@@ -118,19 +111,8 @@ class Measure:
 def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...]:
     """Compare the identified model with the best published model, for each kind of error.
 
-    Parameters
-    ----------
-    models : DataFrame
-        Errors of all models, from `model_table`.
-    tried : sequence of Trial
-        Extrapolations to other payloads or speeds. The table `models` has one column of errors for
-        each extrapolation, in the same order.
-
-    Returns
-    -------
-    tuple of Measure
-        One comparison for the energies of the flights, one for the powers of the rows, and one for
-        each extrapolation.
+    `models` comes from `model_table`. `tried` has its extrapolations, in the order of its columns.
+    The results are for the energies of the flights, the powers of the rows, and each extrapolation.
     """
     *rivals, own = models.to_dict("records")
     columns = {

@@ -46,7 +46,7 @@ STEADY_COLUMNS = {
 }
 #: Fields fitted to steady points by default.
 STEADY_FITTED = ("profile_power_coefficient", "induced_power_factor", "drag_quadratic")
-#: Fraction of the battery charge that a stated endurance uses: makers usually keep 20 % in reserve.
+#: Fraction of the stored energy that a stated endurance uses: makers usually keep 20 % in reserve.
 USED_SHARE = 0.8
 _SAMPLES = 60
 _MOST_POINTS = 10_000
@@ -67,19 +67,17 @@ class SteadyFit:
     scenario : Scenario
         Scenario with the fitted vehicle.
     points : DataFrame
-        One row for each measured point: power, airspeed, payload, climb and air density.
+        Power, airspeed, payload, climb and air density.
     parameters : tuple of FittedParameter
-        Result for each field that was to be fitted.
+        Result for each field.
     power : ndarray, shape (n_points,)
-        Computed power of each point [W].
+        Computed power [W].
     unseen : ndarray, shape (n_points,)
-        Power of each point, computed with a fit to the other points [W]; NaN if there are too few
-        points.
+        Power by a fit to the other points [W]; NaN if there are too few.
     together : tuple of (str, str)
-        One pair of names for each field that is not fitted: its own name, and that of the field
-        with the most similar effect on the power, or "" if no effect is similar.
+        Result of `confounded` for the fields that were not fitted.
     cautions : tuple of str
-        Warnings about limitations of the result.
+        Warnings about the result.
     """
 
     scenario: Scenario
@@ -111,23 +109,8 @@ def _mean_error(power: FloatArray, points: pd.DataFrame) -> float:
 def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     """Read points of steady flight from a CSV file, and complete missing columns.
 
-    Parameters
-    ----------
-    file : Path
-        CSV file with some of the columns of `STEADY_COLUMNS`; power or endurance is required.
-    scenario : Scenario
-        Scenario with the vehicle, whose payload and air density fill missing columns.
-
-    Returns
-    -------
-    DataFrame
-        Power, airspeed, payload, climb and air density of each point.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, a value is not possible in flight, or the powers seem to be in
-        kilowatts or milliwatts.
+    The columns are some of `STEADY_COLUMNS`, with power or endurance. If the file is unreadable, a
+    value impossible, or the power seems to be in kW or mW, a ScenarioError is raised.
     """
     points = filled_in(_read_csv(file), scenario)
     for name in points:
@@ -153,20 +136,8 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Complete a table of measured points of steady flight with default values.
 
-    If the points have endurances in place of powers, the power is 0.8 * stored energy of the
-    battery / endurance: a flight is assumed to use 80 % of the stored energy.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Points with some of the columns that the mapping `STEADY_COLUMNS` of this module lists.
-    scenario : Scenario
-        Scenario with vehicle, battery and air density.
-
-    Returns
-    -------
-    DataFrame
-        Power, airspeed, payload, climb and air density of each point.
+    If endurances replace the powers, a flight is assumed to use 80 % of the stored energy: the
+    power is 0.8 * stored energy of the battery / endurance.
     """
     frame = frame.copy()
     if POWER not in frame:
@@ -208,19 +179,8 @@ def _read_csv(file: Path) -> pd.DataFrame:
 def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Convert points of steady flight to the format of logged flights.
 
-    Each point becomes a flight of two equal rows, so that the fit to logged flights can be used.
-
-    Parameters
-    ----------
-    points : DataFrame
-        Power, airspeed, payload, climb and air density of each point.
-    scenario : Scenario
-        Scenario with the vehicle.
-
-    Returns
-    -------
-    DataFrame
-        Rows with the columns of a flight log, in cruise toward north and in calm air.
+    Each point becomes a flight of two equal rows in cruise toward north, in calm air. The fit to
+    logged flights can then use the points.
     """
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor
@@ -242,22 +202,9 @@ def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
-    """Compute the power of steady level flight at ascending airspeeds.
+    """Compute the power of steady level flight at ascending airspeeds [m/s], shape (n,) [W].
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the vehicle.
-    airspeeds : sequence of float
-        Airspeeds [m/s], n of them.
-    planner : Planner
-        Planner that compiles the vehicle's model and computes the steady flight. It keeps the
-        compiled model for further calls.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Powers [W]; NaN above the greatest airspeed that the vehicle can fly.
+    Powers above the greatest airspeed that the vehicle can fly are NaN.
     """
     steady = planner.steady_flight(scenario)
     powers = np.full(len(airspeeds), np.nan)
@@ -276,25 +223,9 @@ def identify_steady(
 ) -> SteadyFit:
     """Fit a vehicle's power parameters to points of steady flight.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the vehicle before the fit, from `vehicle_scenario`.
-    points : DataFrame
-        Measured points, from `read_steady`.
-    names : sequence of str, optional
-        Fields of the vehicle to fit, from `fitting.FITTABLE`. If the points determine more fields
-        than there are points, only the first `len(points)` of these fields are fitted.
-
-    Returns
-    -------
-    SteadyFit
-        Fitted vehicle, and the fields that the points do not determine.
-
-    Raises
-    ------
-    ScenarioError
-        If the vehicle cannot fly steadily at a point.
+    `scenario` comes from `vehicle_scenario`, and `points` from `read_steady`. Of the fields that
+    the points determine, at most `len(points)` are fitted. If the vehicle cannot fly steadily at a
+    point, a ScenarioError is raised.
     """
     frame = as_flights(points, scenario)
     motion = LoggedMotion(scenario, frame)

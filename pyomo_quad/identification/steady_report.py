@@ -32,17 +32,8 @@ _CURVE_POINTS = 21
 def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) -> None:
     """Write the results of a fit to points of steady flight: vehicle file, report and tables.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    found : SteadyFit
-        Vehicle fitted to the points.
-    base : str
-        Vehicle before the fit: the name of a vehicle of the library, or the path of a vehicle file
-        (.toml).
-    figures : Figures
-        File formats of the figures, or `Figures.NONE` for a report without figures.
+    `folder` is empty. `base` is the vehicle before the fit: a name of the library or the path of a
+    vehicle file (.toml).
     """
     table = point_table(found.points, found.power)
     source = f"identified from {len(found.points)} steady points, plus or minus"
@@ -86,13 +77,6 @@ def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
     """Return the table of steady flight points with computed powers [W] and errors [percent].
 
     An error is the computed minus the measured power, divided by the measured power.
-
-    Parameters
-    ----------
-    points : DataFrame
-        Measured points of steady flight.
-    power : ndarray, shape (n_points,)
-        Computed power of each point [W].
     """
     return points.assign(**{COMPUTED: power, ERROR: 100.0 * (power / points[POWER] - 1.0)})
 
@@ -100,16 +84,7 @@ def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
 def draw_points(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> Figure:
     """Draw measured and computed power of steady flight over airspeed.
 
-    If all points are in hover, the power is drawn over payload.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the fitted vehicle.
-    points : DataFrame
-        Measured points.
-    planner : Planner
-        Planner that compiles the vehicle's model and computes the power.
+    If all points are in hover, the power is drawn over payload. `scenario` has the fitted vehicle.
     """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     if points[AIRSPEED].max() == 0.0:

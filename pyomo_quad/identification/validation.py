@@ -37,18 +37,16 @@ _CRUISING = 0.9
 class Scores:
     """Errors of the computed energies and powers of flights.
 
-    The energy of a flight is the sum over take-off, cruise and landing.
-
     Attributes
     ----------
     flights : int
         Number of flights.
     mean_absolute_error_percent : float
-        Mean over the flights of the absolute relative error of the computed energy.
+        Mean of the absolute relative errors of the flights' energies.
     bias_percent : float
         100 (computed - measured) / measured, for the sum of the energies of all flights.
     power_rmse_W : float
-        Root mean square error of the computed power over all rows of the log.
+        Root mean square error of the power over all rows.
     """
 
     flights: int
@@ -78,20 +76,10 @@ class Trial:
 
 
 def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
-    """Compute the measured and the computed energy of each flight.
+    """Compute the measured and the computed energy of each flight [J].
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of the flights, with measured power.
-    power : ndarray, shape (n_rows,)
-        Computed power of each row [W].
-
-    Returns
-    -------
-    DataFrame
-        One row for each flight: both energies [J], and the relative error 100 (computed - measured)
-        / measured [percent].
+    The energy is the sum over take-off, cruise and landing. `power` is the computed power of each
+    row [W]. The third column is 100 (computed - measured) / measured [percent].
     """
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     columns = {MEASURED_ENERGY: frame[POWER] * steps, PREDICTED_ENERGY: power * steps}
@@ -104,17 +92,7 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
 def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
     """Compare computed with measured powers of flights.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of the flights, with measured power.
-    power : ndarray, shape (n_rows,)
-        Computed power of each row [W].
-
-    Returns
-    -------
-    Scores
-        Errors of the computed energies and powers.
+    `power` is the computed power of each row of `frame`, shape (n_rows,) [W].
     """
     table = energies(frame, power)
     total = table[[MEASURED_ENERGY, PREDICTED_ENERGY]].sum()
@@ -127,21 +105,10 @@ def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
 
 
 def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]:
-    """Divide the flights at random into groups for cross-validation.
+    """Divide the flights at random into `count` groups for cross-validation.
 
-    The division is seeded: equal flights in equal order give equal groups.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of the flights.
-    count : int, optional
-        Number of groups, by default 10; with fewer flights, each flight is a group.
-
-    Returns
-    -------
-    list of ndarray
-        Names of the flights in each group.
+    The result has the names of the flights in each group. Equal flights in equal order give equal
+    groups. With fewer flights than `count`, each flight is a group.
     """
     flights = frame[FLIGHT].unique()
     order = np.random.default_rng(SEED).permutation(len(flights))
@@ -149,23 +116,10 @@ def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]
 
 
 def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
-    """Compute the power of each row with a model that was fitted to other flights.
+    """Compute the power of each row with a model that was fitted to other flights [W].
 
-    The function `folds` divides the flights into groups. The power in the flights of a group is
-    computed with a model that was fitted to all other groups.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of the flights.
-    fitted : callable
-        Takes a boolean array, shape (n_rows,), fits a model to the rows that are True, and returns
-        the power of this model in all rows [W].
-
-    Returns
-    -------
-    ndarray, shape (n_rows,)
-        Computed power of each row [W].
+    `fitted` takes a boolean array, shape (n_rows,). It fits a model to the rows that are True, and
+    returns the power of all rows [W].
     """
     of_row = frame[FLIGHT].to_numpy()
     power = np.zeros(len(frame))
@@ -178,22 +132,8 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     """Test how a model extrapolates to other payloads and speeds.
 
-    If the payloads differ, the model is fitted to the heaviest payload and tested on the lightest.
-    If the speeds differ, it is fitted to the flights at the slower half of the speeds and tested on
-    those at the fastest speed.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of the flights.
-    fitted : callable
-        Takes a boolean array, shape (n_rows,), fits a model to the rows that are True, and returns
-        the power of this model in all rows [W].
-
-    Returns
-    -------
-    tuple of Trial
-        Errors of each test; empty if neither the payloads nor the speeds differ.
+    `fitted` is as in `cross_validated`. A fit to the heaviest payload is tested on the lightest, a
+    fit to the slower half of the speeds on the fastest. A test needs different payloads or speeds.
     """
 
     def trial(name: str, fitted_on: str, seen: Rows, tried_on: str, tried: Rows) -> Trial:
@@ -217,20 +157,9 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 
 
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
-    """Return the usual ground speed in cruise [m/s] of the flight that each row belongs to.
+    """Return the usual ground speed in cruise of each row's flight, shape (n_rows,) [m/s].
 
-    The usual speed is the 90 % quantile of the ground speed in cruise, rounded to a multiple of 2
-    m/s. It is 0 for a flight without cruise.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of all flights.
-
-    Returns
-    -------
-    ndarray, shape (n_rows,)
-        Speeds [m/s].
+    It is the 90 % quantile, rounded to a multiple of 2 m/s; 0 for a flight without cruise.
     """
     north, east = (frame[name].to_numpy() for name in VELOCITY[:2])
     over_ground = pd.Series(np.hypot(north, east), index=frame.index)

@@ -88,18 +88,9 @@ def acts_in_body_axes(scenario: Scenario) -> bool:
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the aerodynamic force and moments on the vehicle in block `aerodynamics`.
 
-    The expressions `force_x`, `force_y` and `force_z` over time are along the world axes [N]. If
-    the vehicle has rotor drag or translational lift, the moments `roll_moment`, `pitch_moment` and
-    `yaw_moment` about the body axes [N m] are declared, too.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `vehicle`, `rotors`, `wind`, and velocities and attitude
-        in `rigid_body`.
-    scenario : Scenario
-        Scenario whose field `wind.coupling` selects isotropic drag or the acceleration of eq. (9)
-        of Yacef et al. The vehicle's coefficients select the forces along the body axes.
+    `force_x`, `force_y` and `force_z` are along the world axes [N]. With rotor drag or
+    translational lift, `roll_moment`, `pitch_moment` and `yaw_moment` about the body axes [N m] are
+    added.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -127,13 +118,8 @@ def declare_unexplained(m: ConcreteModel) -> None:
     """Add a constant horizontal acceleration to the equations of motion, as a correction.
 
     The mutable parameter `aerodynamics.unexplained` is the observed minus the modelled acceleration
-    along x and y [m/s^2]. New expressions `force_x` and `force_y` include this parameter. Call this
-    function before declaring a component that refers to `force_x` or `force_y`.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares the aerodynamic forces in its block `aerodynamics`.
+    along x and y [m/s^2]. No component may refer to `force_x` or `force_y` yet, because they are
+    replaced.
     """
     b = m.aerodynamics
     # Not zero if, for example, the wind differs from the forecast.

@@ -22,9 +22,9 @@ A place is outside the zone if max(d_k) > 0. In the model, a smooth lower bound 
 not be negative. Every place inside the zone is thus forbidden. Beside an edge, where two of the d_k
 differ by less than about w, some places outside the zone are forbidden, too. Their distance from
 the zone is at most 0.14 w = 70 mm, and at the corners of a box at most 0.28 w = 140 mm. Near a
-corner of a prism, j > 2 of the d_k may be nearly equal. The distance is then at most (j - 1) 0.14
-w. Away from the edges, exactly the zone is forbidden. The clearance moves each face outwards by the
-distance c; the edges between the faces stay sharp.
+corner of a prism, more than two of the d_k may be nearly equal. If j of them are, the distance is
+at most (j - 1) 0.14 w. Away from the edges, exactly the zone is forbidden. The clearance moves each
+face outwards by the distance c; the edges between the faces stay sharp.
 
 The fence (`keep_in`) is a convex polygon in x and y, which flights must not leave. Each of its
 edges gives a linear limit of the position, which is exact, also at the corners. The clearance does
@@ -106,25 +106,8 @@ def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
 def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     """Return the edges of the wind field that flights must not cross, by name.
 
-    The result is empty if the scenario has no wind field, or if flights may leave the wind field
-    (`wind.beyond` is "hold").
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission and its wind.
-
-    Returns
-    -------
-    dict
-        For each edge, its axis (0, 1, 2 for x, y, z), its side (-1 for the lower end of the axis, 1
-        for the upper) and its coordinate [m]. The names are "west", "east", "south", "north" and,
-        if the field varies with height, "bottom" and "top".
-
-    Examples
-    --------
-    >>> field_edges(scenario)
-    {}
+    An edge, such as "west" or "top", has its axis (0, 1, 2), its side (-1 lower, 1 upper) and its
+    coordinate [m]. If flights may leave, there are none.
     """
     wind = scenario.wind
     return {} if wind.grid is None or wind.beyond is Beyond.HOLD else wind.grid.edges
@@ -230,20 +213,8 @@ _OF_ZONES = (
 def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the limits of the airspace as path constraints in block `airspace`.
 
-    The limits are floor, ceiling, fence, the edges of the terrain and wind data, and keep-out
-    zones. A limit that the scenario does not set is not declared.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and, over terrain, `ground`.
-    scenario : Scenario
-        Source of the limits.
-
-    Raises
-    ------
-    ScenarioError
-        If start, goal or a waypoint without radius is inside a keep-out zone or on its surface.
+    Limits that the scenario does not set are left out. If start, goal or a waypoint without radius
+    lies in or on a keep-out zone, a ScenarioError is raised.
     """
     _refuse_touching(scenario)
     b = m.airspace = Block(doc="airspace")
@@ -285,7 +256,7 @@ def _inside(
 ) -> RelationalExpression:
     """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t [s].
 
-    `edges` has the axis of each edge and its side: 1 upper, -1 lower.
+    `edges` has axis, side (-1 lower, 1 upper) and coordinate [m] of each edge, by name.
     """
     axis, side, _ = edges[edge]
     out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(parameter)[edge]

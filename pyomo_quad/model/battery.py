@@ -22,11 +22,11 @@ at rest. Without the table `battery.thermal`, the pack has no temperature.
 
 Eq. (5) has a pole at SoC = 0. The power balance has no solution if P exceeds the pack's greatest
 power U^2/(4 R), where U is the open-circuit voltage (less the relaxation voltage) and R the
-resistance of the pack. Two smooth lower limits, called guards, keep the equations finite. They
-limit the state of charge, and the ratio of `power_reserve` (greatest power less P) to the greatest
-power. Above a state of charge of 20 %, and below 90 % of the greatest power, their effect is below
-rounding. If the state of charge or the power reserve is negative, the pack is too small for the
-mission.
+resistance of the pack. Two smooth lower limits, called guards, keep the equations finite. One
+limits the state of charge. The other limits the ratio of `power_reserve` (greatest power less P) to
+the greatest power. At a state of charge above 20 % and a power below 90 % of the greatest power,
+the effect of the guards is below rounding. If the state of charge or the power reserve is negative,
+the pack is too small for the mission.
 """
 
 from pyomo.core import (
@@ -88,8 +88,8 @@ def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
 def may_lose_voltage(scenario: Scenario) -> bool:
     """Return whether the open-circuit voltage can fall to zero before the battery is empty.
 
-    The voltage follows eq. (5) of Yacef et al. with the battery constants of the scenario. If the
-    result is true, `declare_battery` declares a path constraint: the voltage is not negative.
+    The voltage follows eq. (5) of Yacef et al. If the result is true, `declare_battery` adds the
+    path constraint that the voltage is not negative.
     """
     # The polarisation voltage k / SoC grows while the pack is discharged. For some constants, it
     # exceeds the other terms of e_m before the pack is empty, so that e_m becomes negative.
@@ -98,21 +98,10 @@ def may_lose_voltage(scenario: Scenario) -> bool:
 
 
 def build_pack(scenario: Scenario) -> ConcreteModel:
-    """Build a model of the battery alone, which delivers a given power `power.load` [W].
+    """Build a model of the battery alone, which delivers the mutable parameter `power.load` [W].
 
-    The package `identification` simulates this model in time steps. In each step, it sets
-    `power.load` to the measured power of the flight.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the battery; the rest of the scenario is not used.
-
-    Returns
-    -------
-    ConcreteModel
-        Model with `time` (one hour, not discretised), the mutable parameter `power.load`, the
-        expression `power.total` over time, which equals this parameter, and the block `battery`.
+    The set `time` is one hour, not discretised. The package `identification` simulates the model in
+    time steps, with the measured power of each step as the load.
     """
     m = ConcreteModel(name="pack")
     m.time = ContinuousSet(initialize=(0.0, 1800.0, 3600.0), doc="time [s]")
@@ -133,14 +122,8 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
 def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare charge, voltage and current of the battery in block `battery`.
 
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares the set `time`, the block `power` and the suffix
-        `scaling_factor`.
-    scenario : Scenario
-        Source of the battery's numbers. If the battery has the table `relaxation` or `thermal`, the
-        relaxation voltage or the temperature is declared as a further state.
+    If the battery has the table `relaxation` or `thermal`, the relaxation voltage or the
+    temperature is a further state. `m` already declares `time`, `power` and `scaling_factor`.
     """
     b = m.battery = Block(doc="battery pack, Yacef et al., eqs. (4) and (5)")
     pack = scenario.battery
@@ -164,16 +147,10 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_loss(m: ConcreteModel) -> None:
-    """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
+    """Declare the energy lost inside the battery as a state, to minimise the charge.
 
-    The energy lost is the integral of U_0 i - P, with the open-circuit voltage U_0 at the start,
-    the current i and the power P. Energy plus loss is U_0 times the charge drawn in flight:
-    minimising this sum minimises the charge. See docs/theory/battery.md, eqs. (11) to (12).
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `battery`.
+    The loss is the integral of U_0 i - P, with the initial open-circuit voltage U_0. Energy plus
+    loss is U_0 times the charge drawn. See docs/theory/battery.md, eqs. (11) to (12).
     """
     b, start = m.battery, m.time.first()
     charge, missing = b.charge_drawn[start], 1 - b.initial_state_of_charge / (100 * units.percent)

@@ -61,8 +61,8 @@ LOSS = "battery.loss"
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of relaxation, temperature and health of a scenario's battery.
 
-    The parameters of a part are included only if the scenario has its table: `battery.relaxation`,
-    `battery.thermal` or `battery.health`.
+    If the scenario has no table `battery.relaxation`, `battery.thermal` or `battery.health`, the
+    parameters of this table are left out.
     """
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
@@ -72,8 +72,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def states_at_start(scenario: Scenario) -> dict[str, float]:
     """Return the initial values of the battery's states other than its charge, by full name.
 
-    The states are relaxation voltage [V], temperature [K] and energy lost [J], as far as the model
-    of the scenario declares them. A full name is a name such as "battery.temperature".
+    If the model has them, the states are relaxation voltage [V], temperature [K] and energy lost
+    [J]. An example of a full name is "battery.temperature".
     """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
@@ -88,21 +88,8 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
     """Return the scenario fields that start the next flight with the battery's present state.
 
-    The fields set the initial relaxation voltage and the initial temperature of the next flight,
-    but not its initial charge.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario of the flight that has ended.
-    ended : mapping
-        Values of the states at the end of the flight, by full name, as ``"battery.temperature"``.
-
-    Returns
-    -------
-    dict
-        Value of each field by its dotted path, as ``"battery.thermal.initial_temperature"``; empty
-        for a battery without relaxation and temperature.
+    `ended` has the states at the end of the flight by full name, such as ``"battery.temperature"``.
+    The fields are the initial relaxation voltage and temperature, but not the initial charge.
     """
     fields = {}
     if _DROP in ended:
@@ -142,8 +129,8 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the differential equations of relaxation voltage and temperature, if modelled.
 
-    The initial conditions are declared, too. The equations are added to `b`, the block `battery` of
-    the model `m`. See `declare_states` for the tables that select them.
+    The initial conditions are declared, too. The scenario's tables `battery.relaxation` and
+    `battery.thermal` select the equations. `b` is the block `battery` of the model `m`.
     """
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(

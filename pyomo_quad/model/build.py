@@ -1,7 +1,7 @@
 """Functions that build the continuous-time Pyomo model of a mission.
 
 A scenario may name a model builder: a Python function of the user that builds the model in place of
-`build_model`. The functions `model_builder` and `load_builder` return the user's function.
+`build_model`. The function `model_builder` returns the builder that a scenario selects.
 """
 
 from collections.abc import Callable, Hashable
@@ -51,10 +51,10 @@ def build_model(scenario: Scenario) -> ConcreteModel:
         Model with the blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery,
         limits, airspace, mission``. A scenario with terrain adds the block ``ground``, a return
         reserve the block ``homing``. The set ``time`` is not discretised. Its members are the
-        start, the end, and the nominal times at which waypoints are reached and left. Without
-        waypoints, its members are the start, half the duration and the end. A free duration is the
-        variable ``duration``. The parameter ``clock`` is the time, for equations that depend on
-        time. ``energy`` is the energy of the flight [J], the integral of the power over time. The
+        start, the end, and a nominal time for each arrival at and departure from a waypoint.
+        Without waypoints, half the duration is a member. A free duration is the variable
+        ``duration``. The parameter ``clock`` is the time, for equations that depend on time.
+        ``energy`` is the energy of the flight [J], the integral of the power over time. The
         ``objective`` is minimised. The suffix ``scaling_factor`` holds one over the usual magnitude
         of each variable.
 
@@ -216,8 +216,8 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose values are returned. A model that was built from another scenario can use the
-        values if the function `structure_key` returns equal keys for both scenarios.
+        Scenario whose values are returned. They fit the model of another scenario if the function
+        `structure_key` returns equal keys for both.
 
     Returns
     -------
@@ -248,8 +248,8 @@ def structure_key(scenario: Scenario) -> Hashable:
     -------
     hashable
         If two scenarios have equal keys, the compiled model of one can be solved for the other,
-        with the values from `parameter_values`. Their models differ at most in parameter values,
-        the length of a fixed duration, initial guess and scaling. Missions with different waypoints
+        with the values from `parameter_values`. The scenarios may differ in parameter values, the
+        length of a fixed duration, initial guess and scaling. Missions with different waypoints
         have different keys.
 
     Examples
@@ -342,8 +342,8 @@ def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
     Raises
     ------
     ScenarioError
-        If the scenario names a builder and `is_code_allowed` is false. Also if the builder cannot
-        be loaded.
+        If the scenario names a builder and `is_code_allowed` is false, or if the builder cannot be
+        loaded.
 
     Examples
     --------

@@ -14,10 +14,10 @@ through values on the same grid, which the module `scenario.surfaces` computes. 
 (`collocation.Table`) are twice differentiable with exact derivatives, and the cost of an evaluation
 is independent of the size of the grid.
 
-The height above the ground is at least z - U and at most z - L. With z - U >= floor, it is
-therefore at least the floor; with z - L <= ceiling, at most the ceiling. The attribute `excess` of
-a surface is its greatest vertical distance from the ground. The limit z - U >= floor is stricter
-than the floor by at most `excess`.
+The height above the ground is at least z - U and at most z - L. If z - U >= floor, the height above
+the ground is therefore at least the floor. If z - L <= ceiling, it is at most the ceiling. The
+attribute `excess` of a surface is its greatest vertical distance from the ground. The limit z - U
+>= floor is stricter than the floor by at most `excess`.
 """
 
 from typing import Any
@@ -34,18 +34,11 @@ _SURFACES = {1: ("above", "height_limited_below"), -1: ("below", "height_limited
 
 
 def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the heights of the vehicle above the terrain, if the scenario has terrain.
+    """Declare the heights of the vehicle above the terrain in block `ground` [m].
 
-    The heights `height_limited_below`, for a floor, and `height_limited_above`, for a ceiling, are
-    expressions over time in block `ground` [m]. The docstring of this module defines both.
-    `height_limited_above` is declared only if the airspace has a ceiling.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time` and `rigid_body`.
-    scenario : Scenario
-        Holds the terrain. Without terrain, nothing is declared.
+    They are `height_limited_below` for a floor and, if the airspace has a ceiling,
+    `height_limited_above`. The docstring of this module defines both. Without terrain, nothing is
+    declared.
     """
     grid = scenario.airspace.ground
     if grid is None:
@@ -68,19 +61,10 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
-    """Return the height of the vehicle that a floor or a ceiling limits [m].
+    """Return the height of the vehicle that a floor (`side` 1) or a ceiling (-1) limits [m].
 
-    Over flat ground, this height is z. Over terrain, it is the height above a smooth surface: for a
-    floor, a surface nowhere below the ground; for a ceiling, one nowhere above it.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        The mission's model.
-    t : float
-        Time in flight [s].
-    side : int, optional
-        1 for a floor, -1 for a ceiling. Over terrain, -1 requires that the airspace has a ceiling.
+    Over flat ground, it is z. Over terrain, it is the height above a smooth surface: for a floor,
+    nowhere below the ground; for a ceiling, nowhere above.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

@@ -3,7 +3,7 @@
 symbol | name | unit | meaning
 d_k | way | m | straight distance to home k
 w_k | tail_wind | m/s | component of the wind towards home k, at the vehicle
-g_k | ground_speed | m/s | ground speed towards home k at the airspeed V, by the wind triangle
+g_k | ground_speed | m/s | ground speed on the straight course to home k, at the airspeed V
 H_k | height_home | m | least height of the level return to home k over terrain
 c_k | climb | m | climb from the vehicle's height to H_k, over terrain
 q_k | charge_to | A h | charge of the return to home k, including the margin
@@ -18,8 +18,8 @@ vehicle, and climbing a metre takes as much charge as flying a metre.
 
 Over terrain, the vehicle climbs vertically to the height H_k, flies level to the place above the
 home, and descends. H_k is the highest ground on the straight line to the home, plus the floor of
-the airspace. The climb draws a current of its own, at a given rate of climb. Over terrain, the
-distance d in the charge is the length of level flight plus descent. See docs/theory/homing.md.
+the airspace. The climb draws a current of its own, at a given rate of climb. Over terrain, d in the
+formula of the charge is the length of level flight plus descent. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -105,15 +105,8 @@ def terrain_key(scenario: Scenario) -> Hashable:
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the charge of a return flight in block `homing`, and the limit that reserves it.
 
-    At each time, the charge drawn plus the charge of the return to the nearest home is at most the
-    usable charge: the capacity less the least charge that must remain.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rigid_body`, `wind`, `battery` and `airspace`.
-    scenario : Scenario
-        Scenario with the mission. Nothing is declared if the mission keeps no charge for a return.
+    The charge drawn plus the charge of the return to the nearest home is at most the usable charge.
+    Without a return reserve, nothing is declared.
     """
     if not scenario.mission.return_reserve:
         return
@@ -128,6 +121,7 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     @b.Constraint(m.time, doc="charge left in the pack suffices for the return [A h]")
     def return_limit(b: Block, t: float) -> RelationalExpression:
         pack = b.parent_block().battery
+        # The usable charge is the capacity less the least charge that must remain.
         usable = b.usable_charge * pack.pack_capacity
         return pack.charge_drawn[t] + b.charge_home[t] <= usable
 

@@ -12,7 +12,7 @@ controller that follows the plan.
 
 If the motors have a time constant, the magnitude of the rotor acceleration is at most
 (rotor_speed_max - speed) / time constant, where speed is the present rotor speed. A motor with a
-first-order lag cannot gather speed faster. As a simplification, the same limit applies while the
+first-order lag cannot accelerate faster. As a simplification, the same limit applies while the
 rotor slows down.
 """
 
@@ -62,11 +62,10 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
-    """Return parameter values with a reserve of zero, so that a flight may use full rotor speed.
+    """Return a copy of parameter values in which `limits.reserve` is 0.
 
-    `numbers` has the values by full name. The result is a copy in which `limits.reserve`, the share
-    of rotor speed and thrust kept for the controller, is 0. If `numbers` is None or has no reserve,
-    it is returned as it is.
+    The reserve is the fraction of rotor speed and thrust that a plan leaves to the controller. If
+    `numbers` is None or has no reserve, it is returned as it is.
     """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
@@ -76,13 +75,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare limits of vehicle and battery as path constraints in block `limits`.
 
     The limits are those on attitude, rotors, thrust, moments, speed, validated range and battery.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rigid_body`, `rotors`, `wind`, `power` and `battery`.
-    scenario : Scenario
-        Source of the limits; an optional limit is declared only if the scenario sets it.
+    An optional limit is declared only if the scenario sets it.
     """
     b = m.limits = Block(doc="limits, Yacef et al., eq. (10)")
     declare_parameters(b, scenario)

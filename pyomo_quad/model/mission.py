@@ -117,9 +117,8 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `mission`.
 
-    They set the conditions at start, goal and waypoints. A hover at a waypoint adds limits during
-    the hover, and a constant heading adds a limit on the yaw rate. A free duration adds its bounds
-    and its price in the objective, `price_of_time` [W].
+    A hover at a waypoint adds limits during the hover, and a constant heading a limit on the yaw
+    rate. A free duration adds its bounds and its price `price_of_time` [W].
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -130,14 +129,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare hover at start and goal and the conditions at waypoints in block `mission`.
 
-    If the heading is constant, the path constraint `yaw_keeping` is declared, too.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `vehicle`, `rigid_body` and `rotors`.
-    scenario : Scenario
-        Holds start, goal and waypoints.
+    If the heading is constant, the path constraint `yaw_keeping` is declared, too. `m` already
+    declares `time`, `vehicle`, `rigid_body` and `rotors`.
     """
     b = m.mission = Block(doc="boundary conditions, Yacef et al., section 3")
     declare_parameters(b, scenario)
@@ -355,14 +348,8 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 def start_where_measured(m: ConcreteModel) -> None:
     """Replace the conditions of a mission at the start by initial values of all states.
 
-    The new block `start` has a mutable parameter for each state, with the name of the state.
-    Replanning in flight sets the parameters to the measured states. The path constraint
-    `yaw_keeping` is deactivated.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares all its states and the block `mission`.
+    The new block `start` has a mutable parameter for each state, with the state's name. Replanning
+    in flight sets it to the measured state. `yaw_keeping` is deactivated.
     """
     for said in (m.mission.start_place, m.mission.start_rest, m.mission.start_rotor_speed):
         said.deactivate()
@@ -404,12 +391,7 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by a steady hover, tilted against the wind.
 
     Models for replanning in flight use this end condition, because the vehicle can then stay at the
-    goal. In a level hover, the wind would accelerate it.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `rigid_body`, `rotors` and `mission`.
+    goal.
     """
     # The wind accelerates a vehicle in level hover. A planned flight is then level and at rest for
     # an instant only, which a flight in a slightly different wind misses.
@@ -431,14 +413,7 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
 def measured_start(states: Mapping[str, float]) -> dict[str, float]:
     """Return the values of the parameters in block `start`, which hold the measured states.
 
-    Parameters
-    ----------
-    states : mapping
-        Measured value of each state, by the full name of the state, as ``"rigid_body.x"``.
-
-    Returns
-    -------
-    dict
-        Value of each parameter, by the full name of the parameter, as ``"start.x"``.
+    `states` has the measured values by full name. The value of ``"rigid_body.x"``, for example,
+    becomes that of the parameter ``"start.x"``.
     """
     return {f"start.{name.rpartition('.')[2]}": value for name, value in states.items()}

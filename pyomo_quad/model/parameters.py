@@ -54,17 +54,8 @@ _TABLES: dict[str, Table] = {}
 def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
     """Return the declaration of a model parameter for each of several scenario fields.
 
-    Each parameter has the unit and meaning of its field in the schema of scenarios.
-
-    Parameters
-    ----------
-    table : str
-        Dotted path of the scenario's table that holds the fields, as ``"battery.thermal"``; empty
-        for the scenario itself.
-    *names : str
-        Names of fields. Each parameter has the name of its field.
-    **renamed : str
-        Fields whose parameters have another name: ``parameter_name="field_name"``.
+    `table` is the dotted path of the fields' table. A parameter has the unit and meaning of its
+    field, and the same name or, with ``name="field"``, another name.
     """
     rows = []
     for name, field in (*zip(names, names, strict=True), *renamed.items()):
@@ -82,10 +73,9 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
 
 
 def parameters_in(block_name: str) -> Callable[[Table], Table]:
-    """Return a decorator for the function that declares the parameters of a model block.
+    """Return a decorator that registers a function under the name of a model block.
 
-    The decorator registers the function under the name of the block, `block_name`. The function
-    takes a scenario and returns the declarations of the block's parameters.
+    The function takes a scenario and returns the declarations of the block's parameters.
     """
 
     def register(table: Table) -> Table:
@@ -108,8 +98,7 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
 def declare_parameters(b: Block, scenario: Scenario) -> None:
     """Add to the model block `b` the mutable Pyomo parameters that are registered under its name.
 
-    The decorator `parameters_in` registers the declarations of a block. The parameters get their
-    values from the scenario. A parameter without a value in the scenario is left out.
+    `parameters_in` registers the declarations. See `add_parameters`.
     """
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 
@@ -134,19 +123,8 @@ def parameter_items(
 ) -> Iterator[tuple[str, float]]:
     """Yield full name and value of every parameter in a table of declarations, for a scenario.
 
-    Parameters
-    ----------
-    block_name : str
-        Name of the block that holds the parameters, as ``"wind.x"``.
-    table : iterable of Parameter
-        Declarations. A parameter without a value in the scenario is left out.
-    scenario : Scenario
-        Source of the values.
-
-    Yields
-    ------
-    tuple of str and float
-        Name and value in the declared unit, as ``("wind.x.amplitudes[1]", 0.1)``.
+    An example is ``("wind.x.amplitudes[1]", 0.1)``, with the value in the declared unit. A
+    parameter without a value in the scenario is left out.
     """
     for row in table:
         value = row.value(scenario)
@@ -161,18 +139,8 @@ def parameter_items(
 def positive_part(value: NumericExpression, width: NumericExpression) -> NumericExpression:
     """Return a smooth max(value, 0): convex, increasing, never negative.
 
-    Parameters
-    ----------
-    value : expression
-        Any quantity.
-    width : expression
-        Half the width over which the kink at zero is rounded, in the unit of `value`.
-
-    Returns
-    -------
-    expression
-        The smooth maximum. It exceeds max(value, 0) by width/2 at value = 0, and by about
-        width^2/(4 abs(value)) far from zero.
+    `width` is half the width of the rounded kink. The result exceeds max(value, 0) by width/2 at
+    value = 0, and by about width^2/(4 abs(value)) far from zero.
     """
     return (value + sqrt(value**2 + width**2)) / 2
 
@@ -182,18 +150,8 @@ def floored(
 ) -> NumericExpression:
     """Return a smooth max(value, floor) that never falls below the floor.
 
-    Parameters
-    ----------
-    value, floor : expression
-        Quantities of the same unit.
-    width : expression
-        Half the width over which the kink is rounded, as for `positive_part`.
-
-    Returns
-    -------
-    expression
-        The smooth maximum. It exceeds the exact maximum by width/2 where `value` equals `floor`,
-        and by less elsewhere.
+    It exceeds the exact maximum by width/2 where `value` equals `floor`, and by less elsewhere. See
+    `positive_part` for the width.
     """
     return floor + positive_part(value - floor, width)
 
@@ -207,19 +165,8 @@ def saturated(
 ) -> NumericExpression:
     """Return a smooth max(value, floor) that equals the value, up to rounding, far above the floor.
 
-    Parameters
-    ----------
-    value, floor : expression
-        Quantities of the same unit.
-    width : expression
-        Width of the transition, in the same unit. At value = floor + 10 width, the result differs
-        from the value by 2e-8 width. The result is at most 0.14 width (the constant `DIP`) below
-        the floor.
-
-    Returns
-    -------
-    expression
-        The smooth maximum. Unlike a softplus, it does not overflow.
+    At value = floor + 10 width, the difference is 2e-8 width. The least result is 0.14 width
+    (`DIP`) below the floor. Unlike a softplus, it does not overflow.
     """
     excess = value - floor
     return floor + excess * (1 + tanh(excess / width)) / 2

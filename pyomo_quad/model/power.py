@@ -1,9 +1,9 @@
 """The electrical power of the rotors, by one of six models.
 
-Each model is a function that declares the power of every rotor. The energy of the flight is the
-integral over time of the power of all rotors, eq. (8) of the paper (Yacef et al.). The paper prints
-eq. (8) with a double sum: for each rotor, over the speeds of all rotors. The package uses a single
-sum over the rotors.
+Each model is a function that declares the power of every rotor over time [W], as the expression
+`name` of block `power`. The energy of the flight is the integral over time of the power of all
+rotors, eq. (8) of the paper (Yacef et al.). The paper prints eq. (8) with a double sum: for each
+rotor, over the speeds of all rotors. The package uses a single sum over the rotors.
 
 Symbols in the table: v, i and tau are voltage, current and torque of a motor. omega is the rotor
 speed, alpha the rotor acceleration. eta is a constant efficiency. f_r is the efficiency of motor
@@ -19,8 +19,7 @@ momentum | induced, profile and axial power, in moving air | yes | yes
 
 The power of a rotor may be negative while the rotor brakes. Without regeneration
 (`power.regeneration`), zero replaces a negative power, with a smooth transition. Regeneration is
-the default of the models whose energy balance holds for either direction of the energy flow. It is
-not the default of the two models with an efficiency: they divide by the efficiency, and would
+the default, except for the two models with an efficiency. These divide by the efficiency, and would
 return more energy than the braking rotor gives.
 
 Alternating acceleration and braking of the rotors saves no energy, except in the model
@@ -43,8 +42,9 @@ P_e | electronics_power | W | power drawn by all but the motors
 rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
 
 Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. In descent, the term
-v_a^2 / 7.67 is added under the root: any factor of at least 1/8 gives exactly one solution. The
-result is close to Leishman (2006), eq. (2.96), a fit to measurements on descending rotors.
+v_a^2 / 7.67 is added under the root. With this term, and with any term of at least v_a^2 / 8, there
+is exactly one solution. The result is close to Leishman (2006), eq. (2.96), a fit to measurements
+on descending rotors.
 
 Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2) for each rotor, with the thrust and disc
 area of that rotor. The advance ratio is mu = v_p / (omega R), with the radius R of a rotor. K =
@@ -129,34 +129,23 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameter values for solves in which a rotor's power is smoothed over larger widths.
+    """Return parameter values that smooth a rotor's power at zero over larger widths [W].
 
-    Without regeneration, the power is max(P, 0), whose kink at P = 0 is rounded over a width. A
-    solve with a large width converges easily, and its solution is the initial guess for the next
-    width. The largest width comes first.
-
-    Returns
-    -------
-    tuple of dict
-        Each dictionary maps the full name of the width parameter to a width [W] of more than twice
-        the scenario's own width. The tuple is empty if regeneration is enabled.
+    The widest comes first; all exceed twice the scenario's own width. The solution with one width
+    is the initial guess for the next. With regeneration, the result is empty.
     """
     if scenario.power.regeneration:
         return ()
     own = scenario.power.smoothing
+    # The kink of max(P, 0) is rounded over the width. A solve with a large width converges easily.
     return tuple({f"power.{_SMOOTHING}": w} for w in _WIDER_SMOOTHINGS_W if w > 2.0 * own)
 
 
 def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the power of each rotor and the total power in block `power`.
 
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `vehicle` and `rotors`. The power model `momentum` also
-        needs `rigid_body` and the airspeeds of block `aerodynamics`.
-    scenario : Scenario
-        Selects the power model and whether braking rotors return energy.
+    The scenario selects the power model, and whether braking rotors return energy. The model
+    `momentum` also needs `rigid_body` and the airspeeds of block `aerodynamics`.
     """
     b = m.power = Block(doc="power, Yacef et al., eq. (8)")
     declare_parameters(b, scenario)
@@ -177,14 +166,8 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_error(m: ConcreteModel) -> None:
     """Multiply the total power by 1 + `power.error`, where the error is a mutable parameter.
 
-    The error is relative and initially zero. Simulated flights set it to random values that
-    represent an imperfect power model.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares the block `power`. No other component of the model may refer to
-        the total power `power.total` yet, because this expression is replaced.
+    The error is initially zero; simulated flights set it to random values. No component may refer
+    to `power.total` yet, because this expression is replaced.
     """
     b = m.power
     b.error = Param(initialize=0.0, mutable=True, doc="relative error of the modelled power")
@@ -218,16 +201,9 @@ def _power_of_each_rotor(
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor.
 
-    Voltage and current are eqs. (2) and (3) of Yacef et al., valid at all speeds and torques. With
-    regeneration, a braking rotor returns its shaft power less the copper loss. The power includes
-    the profile drag of the rotors only if the vehicle's `drag_torque_coefficient` does.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rotors` and the block `power`.
-    name : str
-        Name of the expression in block `power` that gives the power of each rotor over time [W].
+    Both follow eqs. (2) and (3) of Yacef et al. With regeneration, a braking rotor returns its
+    shaft power less the copper loss. The profile drag is included only if `drag_torque_coefficient`
+    includes it.
     """
     b = m.power
 
@@ -237,6 +213,7 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 
     # Convex in the rotor acceleration and in thrust, because the copper loss grows with the square
     # of the torque; see docs/theory/bound.md, eq. (5).
+    # The equations are valid at all speeds and torques.
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (2)-(3): electrical power v i [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
@@ -247,19 +224,12 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
     Motor and converter have no loss. With regeneration, a braking rotor returns its full shaft
-    power. The power is linear in the rotor acceleration. A minimum of the energy therefore requires
-    a bound on this acceleration.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rotors` and the block `power`.
-    name : str
-        Name of the expression in block `power` that gives the power of each rotor over time [W].
+    power. A minimum of the energy requires a bound on the rotor acceleration.
     """
 
     # Convex in thrust (exponent 3/2). For a driven rotor, it is a lower bound of the power by a
     # model with an efficiency and, if the motor constants have k_t k_v = 1, by the motor models.
+    # Linear in the rotor acceleration, which must therefore be bounded.
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with f_r = 1: shaft power [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
@@ -270,15 +240,7 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `constant_efficiency`: shaft power divided by a constant efficiency.
 
     The model is valid near the operating point at which the efficiency was measured. The power is
-    convex in the rotor acceleration and in thrust. Without regeneration, the power is never
-    negative.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rotors` and the block `power`.
-    name : str
-        Name of the expression in block `power` that gives the power of each rotor over time [W].
+    convex in the rotor acceleration and in thrust. Without regeneration, it is never negative.
     """
 
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with constant f_r [W]")
@@ -290,17 +252,8 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
-    f_r is the efficiency polynomial of Yacef et al., recovered from two public re-implementations.
-    Its torque and value have the smooth lower limits `torque_floor` and `efficiency_floor`. The
-    optimum depends on the mesh and on the bound on the rotor acceleration, because the power is not
-    convex in this acceleration.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rotors` and the block `power`.
-    name : str
-        Name of the expression in block `power` that gives the power of each rotor over time [W].
+    f_r is the polynomial of Yacef et al., recovered from two public re-implementations. tau and f_r
+    have the smooth lower limits `torque_floor` and `efficiency_floor`.
     """
     b = m.power
 
@@ -343,13 +296,6 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
     The motor's torque includes dry and viscous friction, as in Morbidi et al. (2016). Because of
     the friction, the power is concave in thrust at small thrust.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rotors` and the block `power`.
-    name : str
-        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
     b = m.power
 
@@ -403,14 +349,6 @@ def declare_momentum_power(m: ConcreteModel, name: str) -> None:
 
     The model is valid in hover, climb, forward flight and slow descent. The power is convex in the
     rotor acceleration and in thrust. The docstring of this module has the equations.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `vehicle`, `rigid_body`, `rotors`, the airspeeds of
-        block `aerodynamics`, and the block `power`.
-    name : str
-        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
     b = m.power
     b.disc_area = Expression(

@@ -58,16 +58,8 @@ _NOMINAL_RATE = 2.0
 def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the states of the rigid body and their kinematics in block `rigid_body`.
 
-    The states are position, velocity, attitude angles and body rates. The kinematics relate the
-    rates of position and angles to velocity and body rates.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time` and `scaling_factor`.
-    scenario : Scenario
-        Scenario with the initial guess of the states; `vehicle.attitude` selects the kinematics of
-        the angles.
+    The states are position, velocity, attitude angles and body rates. `vehicle.attitude` selects
+    the relation between the angles and the body rates.
     """
     m.rigid_body = Block(doc="rigid body, Yacef et al., eqs. (6) and (9)")
     _declare_states(m, scenario)
@@ -82,14 +74,8 @@ def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the force and moment balances in block `rigid_body`.
 
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `vehicle`, `rotors`, `aerodynamics` and the states of
-        `rigid_body`.
-    scenario : Scenario
-        Scenario whose field `vehicle.attitude` selects the yaw balance: exact, or that of the
-        paper, which omits the reaction of the body to accelerating rotors.
+    `vehicle.attitude` selects the yaw balance: exact, or that of the paper, which omits the
+    reaction of the body to accelerating rotors.
     """
     _declare_force_balances(m.rigid_body, m)
     _declare_tilting_balances(m.rigid_body, m)

@@ -30,9 +30,8 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the model parameters for positions and directions of rotation of the rotors.
 
-    The standard cross of four rotors, which eq. (7) of Yacef et al. describes, has positions only
-    if there is rotor drag or translational lift. These forces depend on the airspeed at each rotor.
-    Any other layout has positions and directions of rotation.
+    The standard cross of eq. (7) of Yacef et al. has none, except for the positions if rotor drag
+    or translational lift depends on them. Any other layout has both.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -61,16 +60,7 @@ def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the torque of each motor and, if the motor constants are known, current and voltage.
 
     Torque [N m], current [A] and voltage [V] are expressions over rotors and time in block
-    `rotors`.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `vehicle` and the block `rotors` with the speeds and
-        accelerations of the rotors.
-    scenario : Scenario
-        Scenario with the vehicle. The motor constants (torque constant, voltage constant,
-        resistance) are known if the vehicle's table `motor` is given.
+    `rotors`. The vehicle's table `motor` has the constants.
     """
     b = m.rotors
 
@@ -104,17 +94,8 @@ _NOMINAL_ACCELERATION = 1e3
 def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare rotor speeds, their accelerations and the mixer in block `rotors`.
 
-    Speeds are states and accelerations are controls. The mixer consists of total thrust [N],
-    moments about the body axes [N m], and speed imbalance [rad/s]: the sum of the rotor speeds,
-    signed by the direction of rotation. If `vehicle.attitude` is "euler", the block also has
-    `yaw_reaction`, the moment of accelerating rotors on the body [N m].
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `vehicle` and `scaling_factor`.
-    scenario : Scenario
-        Scenario whose vehicle gives the rotor layout.
+    The mixer consists of total thrust [N], moments about the body axes [N m], and speed imbalance
+    [rad/s]. The imbalance is the sum of the rotor speeds, signed by the direction of rotation.
     """
     b = m.rotors = Block(doc="rotors, Yacef et al., eqs. (7) and (9)")
     b.rotor = Set(initialize=_numbers(scenario), doc="rotors as the paper numbers them")
@@ -125,6 +106,7 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     else:
         _declare_mixer(b, m)
     if scenario.vehicle.attitude is Attitude.EULER:
+        # Moment of accelerating rotors on the body [N m], which the attitude "paper" omits.
         _declare_yaw_reaction(b, m, scenario.vehicle.rotor_senses)
 
 

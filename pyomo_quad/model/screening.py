@@ -44,11 +44,9 @@ class Finding:
     Attributes
     ----------
     severity : Severity
-        Whether no flight is possible, numbers contradict physics, or the user should check the
-        subject of the finding.
+        Severity of the finding.
     subject : str
-        What the finding is about: the dotted path of a field of the scenario, or the full name of a
-        component of the model.
+        Dotted path of a field of the scenario, or full name of a component of the model.
     message : str
         One line: the subject, what was found and, where there is one, the allowed range.
     """
@@ -74,22 +72,10 @@ class _Interval:
 
 
 def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
-    """Return findings on the variables and limits of a model.
+    """Return findings on the variables and limits of a continuous, not discretised model.
 
-    The checks find variables without a scaling factor and controls without bounds. They also find
-    limits of a variable that are never active or contradict each other, and equality constraints
-    that set a variable to a value outside its limits. Limits are bounds and linear constraints of
-    one variable alone.
-
-    Parameters
-    ----------
-    model : ConcreteModel
-        Continuous, not discretised.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty if all these checks pass.
+    The checks are for missing scaling factors and controls without bounds. They also find limits of
+    one variable that are never active, contradict each other, or exclude its prescribed value.
     """
     intervals = _intervals(model)
     return (
@@ -407,9 +393,8 @@ def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[In
 def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
     """Return the members of a time-indexed component whose time is `instant`.
 
-    A component that is indexed by rotor and time, for example, has one member per rotor. If a
-    component has no members at `instant`, such as a limit during a hover, its members at its first
-    time are returned.
+    There may be several, such as one per rotor. If there is none, as for a limit during a hover,
+    the members at the component's first time are returned.
     """
     at: set[Any] = {_as_tuple(index)[-1] for index in component}
     time = instant if instant in at else min(at, default=instant)

@@ -75,9 +75,8 @@ BREACHES = ("soft.most", "soft.above", "soft.below")
 def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
-    With this penalty, a violation of one unit (such as 1 m) costs the energy that lifts the vehicle
-    by 300 m. Equation (2) of docs/theory/soft_limits.md gives the penalty above which no avoidable
-    violation remains.
+    It is the energy that lifts the vehicle by 300 m. With a penalty above eq. (2) of
+    docs/theory/soft_limits.md, a plan violates no limit that it can keep.
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 
@@ -85,17 +84,9 @@ def usual_price(scenario: Scenario) -> float:
 def soften(m: ConcreteModel, scenario: Scenario) -> None:
     """Replace limits and end conditions of a model by soft constraints, in block `soft`.
 
-    The original constraints are deactivated. The objective is deactivated, too, and replaced by
-    `soft_objective`, which adds all violations times the penalty per unit. The docstring of this
-    module names the limits that stay hard.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model with its `objective`. The penalty per unit of violation becomes the mutable parameter
-        `soft.price` [J per unit].
-    scenario : Scenario
-        Scenario; the weight of its vehicle sets the initial penalty.
+    `soft_objective` adds all violations times the mutable parameter `soft.price` [J per unit] to
+    the objective. The original constraints and objective are deactivated. The docstring of this
+    module names the hard limits.
     """
     b = m.soft = Block(doc="soft limits: breaches and their price")
     limits = [c for c in map(m.find_component, _LIMITS) if c]

@@ -17,7 +17,7 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
                                           v, w = sigma (sqrt(3) xi_1 + (1 - sqrt(3)) xi_2)
 
 V is the airspeed, with the lower limit sigma_u: Taylor's hypothesis of frozen gusts holds only if
-the vehicle crosses a gust faster than the gust changes, L / V < L / sigma.
+the vehicle crosses a gust faster than the gust changes: L / V < L / sigma.
 
 The gust axes are horizontal and vertical. One horizontal axis has the constant direction of the
 mission's mean relative wind. MIL-HDBK-1797 gives the same spectra at low altitude. Turbulence acts
@@ -103,9 +103,9 @@ PARAMETERS = (
 def turbulence_values(scenario: Scenario) -> dict[str, float]:
     """Return the values of the parameters in block `wind.turbulence`, by full name.
 
-    The parameters are the wind at 6 m above the ground, `wind.turbulence.wind_at_6_m` [m/s], zero
-    for a scenario without turbulence, and the direction of the mean airflow over the vehicle,
-    `wind.turbulence.direction` [rad].
+    `wind.turbulence.wind_at_6_m` is the wind at 6 m above the ground [m/s], zero without
+    turbulence. `wind.turbulence.direction` is the direction of the mean airflow over the vehicle
+    [rad].
     """
     return dict(parameter_items(_BLOCK, PARAMETERS, scenario))
 
@@ -113,7 +113,7 @@ def turbulence_values(scenario: Scenario) -> dict[str, float]:
 def horizontal_length(height: Any) -> Any:
     """Return the length scale L_u = L_v of turbulence [m]: MIL-F-8785C, figure 10.
 
-    `height` is the height above the ground [m]. MIL-HDBK-1797 has half of this length for L_v.
+    `height` is the height above the ground [m]. In MIL-HDBK-1797, L_v is half of this length.
     """
     return height / (0.177 + 0.000823 * height / _FOOT) ** 1.2
 
@@ -165,8 +165,8 @@ def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
     """Return the time derivative [1/s] of the state xi_1 of a Dryden shaping filter.
 
-    `rate` is a = V / L [1/s], the crossing speed over the length scale. `state` is xi_1, and
-    `noise` is white noise of unit intensity [1/s^(1/2)]. The stationary variance of xi_1 is 1/2.
+    `rate` is a = V / L [1/s], `state` is xi_1, and `noise` is white noise of unit intensity
+    [1/s^(1/2)]. The stationary variance of xi_1 is 1/2.
     """
     return -rate * state + root(rate) * noise
 
@@ -174,8 +174,7 @@ def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
     """Return the time derivative [1/s] of the state xi_2 of a Dryden shaping filter.
 
-    `rate` is a = V / L [1/s], the crossing speed over the length scale. `state` is xi_1, and `lag`
-    is xi_2, which lags xi_1.
+    `rate` is a = V / L [1/s], `state` is xi_1, and `lag` is xi_2, which lags xi_1.
     """
     return rate * (state - lag)
 
@@ -183,16 +182,8 @@ def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
 def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     """Add Dryden turbulence and an error of the wind forecast to the wind of a model.
 
-    The wind becomes mean wind plus gust, from block `wind.turbulence`. The horizontal wind also has
-    the forecast error `wind.error` [m/s], a mutable parameter, initially zero.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and the mean wind, but no equation that
-        refers to the wind: the expressions of the wind are replaced.
-    scenario : Scenario
-        Scenario whose table ``wind.turbulence`` gives the intensity of the turbulence.
+    The mutable parameter `wind.error` [m/s], initially zero, is the error of the horizontal wind.
+    No equation may refer to the wind yet, because its expressions are replaced.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
     add_parameters(b, PARAMETERS, scenario)
@@ -368,8 +359,8 @@ class Gusts:
     def start(self) -> dict[str, float]:
         """Initial values of the states of the turbulence filters, by full name.
 
-        A full name is a name such as "wind.turbulence.along". The values are a random sample from
-        the stationary distribution of the states, drawn with the seed.
+        The values are a random sample from the stationary distribution of the states, drawn with
+        the seed. An example of a full name is "wind.turbulence.along".
         """
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)
@@ -377,24 +368,15 @@ class Gusts:
         return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
 
     def noise(self, duration: float) -> FloatArray:
-        """Return the white noise of a flight, constant over time steps of length `NOISE_STEP` [s].
+        """Return the white noise of a flight in time steps, shape (n_steps, 3) [1/s^(1/2)].
 
-        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, the noise of a longer
-        flight begins with the noise of a shorter flight.
-
-        Parameters
-        ----------
-        duration : float
-            Duration of the flight [s].
-
-        Returns
-        -------
-        ndarray, shape (n_steps, 3)
-            Noise of the filters along, across and upwards [1/s^(1/2)], one row per step.
+        The columns are for the filters along, across and upwards. With the same seed, the noise of
+        a longer flight begins with the noise of a shorter flight.
         """
         generator = np.random.default_rng(self._seed)
         generator.standard_normal(len(FILTER_STATES))
         steps = ceil(duration / NOISE_STEP) + 1
+        # The noise is constant in each time step. Its variance is 1 / NOISE_STEP.
         return generator.standard_normal((steps, len(NOISE))) / sqrt(NOISE_STEP)
 
     def steps(self, duration: float) -> dict[str, Steps]:

@@ -75,16 +75,8 @@ class TypesetEquation:
 def typeset_equations(model: ConcreteModel) -> tuple[TypesetEquation, ...]:
     """Typeset every constraint and named expression over time as LaTeX.
 
-    Parameters
-    ----------
-    model : ConcreteModel
-        A continuous model, as `build_model` declares it.
-
-    Returns
-    -------
-    tuple of TypesetEquation
-        Equations in the order of declaration, one for each component. The equation of an indexed
-        component is that of its first member; the index of rotor 1 is written as j.
+    The order is that of the declaration. An indexed component has the equation of its first member,
+    in which the index of rotor 1 is written as j.
     """
     time = next(model.component_objects(ContinuousSet, descend_into=True))
     instant = sorted(time)[len(time) // 2]

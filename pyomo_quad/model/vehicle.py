@@ -62,13 +62,6 @@ def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
 
     If payloads are released, the parameter `is_left[waypoint, time]` is 0 until the vehicle leaves
     the waypoint, and 1 afterwards.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`.
-    scenario : Scenario
-        Gives the values of the parameters, and the waypoints at which a payload is released.
     """
     m.vehicle = Block(doc="numbers of the vehicle")
     declare_parameters(m.vehicle, scenario)

@@ -15,9 +15,9 @@ logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), sect
 
 h is the vehicle's height above the ground: z over flat ground, and over terrain the height over a
 smooth surface that is nowhere below the ground (see `model.ground`). Both laws are valid only above
-a lowest height, max(0.1 m, z_0). In place of h, they use a smooth maximum of h and the lowest
-height, so that the wind below is constant. The smooth maximum increases with h. It equals h to
-1e-12 m at half a metre above the lowest height.
+a lowest height, max(0.1 m, z_0). Below this height, the wind is constant, because a smooth maximum
+of h and the lowest height replaces h. The smooth maximum increases with h. It equals h to 1e-12 m
+at half a metre above the lowest height.
 
 A wind measured over heights is a cubic spline in the height above the ground, constant below the
 lowest and above the highest measurement, with a smooth transition. In a wind field, by contrast,
@@ -136,15 +136,12 @@ def _mean(scenario: Scenario, name: str) -> float:
 def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
-    The kind of wind determines the mean:
-
-    - formula: v_0, without harmonics and gust,
-    - wind profile: at the reference height,
-    - wind measured at several heights: at 10 m above the ground (`USUAL_HEIGHT`),
-    - wind field: over all places with wind.
+    For a formula, the mean is v_0. For a profile, it is the wind at the reference height; for
+    measured heights, that at 10 m; for a field, that over all places.
     """
     wind = scenario.wind
     if wind.grid is not None:
+        # Over the places with wind.
         told = wind.grid.components[:2].reshape(2, -1)
         return np.asarray(wind.field_scale * np.nanmean(told, axis=1))
     if wind.series is None:
@@ -198,15 +195,7 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the wind velocity over time in block `wind`, from a formula, a table or a field.
 
     The expressions are `velocity_x`, `velocity_y` and, if the wind has a vertical part,
-    `velocity_z` [m/s].
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rigid_body`, an empty block `wind`, and the parameter
-        `clock`, the time in flight.
-    scenario : Scenario
-        Source of the wind: formula, measurements over time, height or both, or a field over places.
+    `velocity_z` [m/s]. `m` already has the empty block `wind` and the parameter `clock`.
     """
     b, wind = m.wind, scenario.wind
     declare_parameters(b, scenario)
@@ -288,8 +277,8 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    The result has all mutable parameters of block `wind` with the unit of a speed, such as
-    "wind.x.mean". The value of a parameter over time is a function that returns zero.
+    The parameters are all mutable speeds of block `wind`, such as "wind.x.mean". The value of a
+    parameter over time is a function that returns zero.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -457,8 +446,8 @@ _ROWS_BESIDE = 30
 class _OverTime:
     """Wind speed along one axis, measured over time, as a spline that a Pyomo model can evaluate.
 
-    If the wind was measured over time and height, `speeds` are values of one coefficient of the
-    spline over height.
+    If the wind was measured over time and height, `speeds` has one coefficient of the spline over
+    height, at each time.
     """
 
     def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:

@@ -1,7 +1,7 @@
 """Wind that varies from place to place: a spline over place and time for each component.
 
 symbol | name | unit | meaning
-s | field_unit | m/s | factor on the splines, which have no unit: `wind.field_scale` times 1 m/s
+s | field_unit | m/s | factor on the dimensionless splines: `wind.field_scale` times 1 m/s
 x, y, z, t | - | m, s | place of the vehicle, and time on the time axis of the wind data
 
 Each component of the wind velocity is a tensor product of cubic not-a-knot B-splines through its
@@ -58,7 +58,7 @@ _PASSING_STEPS = 0.02
 def smooth_positive(number: Any, width: Any) -> Any:
     """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
 
-    At more than a few widths from zero, it equals max(number, 0) up to rounding. The function
+    If abs(number) exceeds a few widths, the result equals max(number, 0) up to rounding.
     `parameters.positive_part` approaches max(number, 0) much more slowly.
     """
     rounding = width**2 * exp(-((number / width) ** 2))
@@ -68,21 +68,8 @@ def smooth_positive(number: Any, width: Any) -> Any:
 def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[Expression]:
     """Declare the splines of a wind field and return the wind components at the vehicle [m/s].
 
-    Parameters
-    ----------
-    m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and, in block `wind`, the time `wind_time`
-        of the wind data [s] and the factor `field_unit` of the splines [m/s]. The block receives
-        splines and components.
-    grid : WindGrid
-        Grid points and wind components of the field.
-    scenario : Scenario
-        If its field `wind.beyond` is "hold", place and time are clipped to the ranges of the grid.
-
-    Returns
-    -------
-    list of Expression
-        Wind over time along world x, y and, if the field has it, z.
+    If `wind.beyond` is "hold", place and time are clipped to the grid. The block `wind` of `m`
+    already has `wind_time` and `field_unit`.
     """
     b, is_held = m.wind, scenario.wind.beyond is Beyond.HOLD
     axes, tables = _filled(grid)
@@ -164,28 +151,13 @@ def with_nearest_wind(grid: WindGrid) -> FloatArray:
 
 
 def wind_corners(scenario: Scenario) -> FloatArray:
-    """Return corners of a polyhedron that contains every wind that a flight may meet in a field.
+    """Return the corners of a prism that contains every wind that a flight may meet, shape (n, 3).
 
-    The polyhedron contains the control points of the wind's spline in all cells that flights may
-    enter. It therefore contains the wind in these cells. See docs/theory/bound.md, eq. (21).
-
-    Parameters
-    ----------
-    scenario : Scenario
-        A scenario with a wind field.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Wind components along x, y and z [m/s] at the n corners. The polyhedron is a prism along z
-        with an octagon as base.
-
-    Raises
-    ------
-    ValueError
-        If the scenario has no wind field.
+    The prism [m/s] along z has an octagon as base; see docs/theory/bound.md, eq. (21). Without a
+    wind field, a ValueError is raised.
     """
     _, points, is_open = _controlled(scenario)
+    # The wind in a cell lies within the control points of its spline there.
     winds = points[:, is_open]
     angles = 2 * np.pi * np.arange(_SIDES) / _SIDES
     sides = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -209,8 +181,8 @@ def _controlled(
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
     """Return axes and control points of a wind field, and which points are in permitted cells.
 
-    The first array axis of the control points [m/s] is the wind component. Along each further axis,
-    every cell has four points.
+    The first array axis of the control points [m/s] is the wind component. The other array axes
+    have four points for each cell.
     """
     grid = scenario.wind.grid
     if grid is None:
@@ -235,9 +207,8 @@ class ColumnWinds:
     x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
         Edges of the columns [m].
     low, high : ndarray, shape (2, nx, ny)
-        Lower and upper bounds of the wind along x (index 0) and y (index 1) in each column [m/s],
-        for the cells that a flight may enter. In a column that no flight may enter, `low` is inf
-        and `high` is -inf.
+        Bounds of the wind along x and y [m/s] in the cells that a flight may enter; inf and -inf
+        without such cells.
     is_open : ndarray of bool, shape (nx, ny)
         Whether a flight may enter the column.
     """
@@ -252,24 +223,8 @@ class ColumnWinds:
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     """Return bounds of the horizontal wind in each vertical column of a wind field's grid.
 
-    A column consists of all cells at one horizontal position. Only cells that flights may enter
-    count. The bounds are the least and the greatest control point of the wind's spline in these
-    cells; see docs/theory/bound.md, eq. (21).
-
-    Parameters
-    ----------
-    scenario : Scenario
-        A scenario with a wind field.
-
-    Returns
-    -------
-    ColumnWinds
-        Bounds of the wind in each column [m/s].
-
-    Raises
-    ------
-    ValueError
-        If the scenario has no wind field.
+    The bounds are the extreme control points of the wind's spline in the cells that flights may
+    enter; see docs/theory/bound.md, eq. (21). Without a wind field, a ValueError is raised.
     """
     axes, points, is_open = _controlled(scenario)
     cells = (points.shape[1] // _SPLINE_POINTS, points.shape[2] // _SPLINE_POINTS)
@@ -307,7 +262,7 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
-    """Return for each control point of a wind field whether its cell has a corner with known wind.
+    """Return which control points of a wind field are in a cell with known wind at a corner.
 
     `shape` is the shape of the control points, with the wind component first.
     """
@@ -326,22 +281,10 @@ def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
 def is_wind_known(
     scenario: Scenario, times: FloatArray | float, places: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return whether the wind field has a value at each place and time of a flight.
+    """Return whether the wind field has a value at each place and time of a flight, shape (n,).
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario of the flight. Without a wind field, or if `wind.beyond` is "hold", the result is
-        true everywhere.
-    times : ndarray, shape (n,), or float
-        Times in flight [s].
-    places : ndarray, shape (n, 3)
-        Places in world axes [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True where the wind field has a value.
+    `times` are times in flight [s], `places` world coordinates [m], shape (n, 3). Without a field,
+    or if `wind.beyond` is "hold", the result is always true.
     """
     wind = scenario.wind
     if wind.grid is None or wind.beyond is Beyond.HOLD:
@@ -352,19 +295,8 @@ def is_wind_known(
 def unknown_wind(scenario: Scenario, times: FloatArray, places: FloatArray) -> str:
     """Return a message on the first place of a flight at which the wind field has no value.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Holds the wind field.
-    times : ndarray, shape (n,)
-        Times in flight [s].
-    places : ndarray, shape (n, 3)
-        Places at these times in world axes [m].
-
-    Returns
-    -------
-    str
-        The message for the user; empty if the wind is known on the whole flight.
+    `times` are times in flight [s], and `places` world coordinates [m], shape (n, 3). If the wind
+    is known on the whole flight, the message is empty.
     """
     lost = np.flatnonzero(~is_wind_known(scenario, times, places))
     if not lost.size:

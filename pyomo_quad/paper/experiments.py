@@ -48,13 +48,7 @@ class Experiment(IntEnum):
 def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = None) -> Scenario:
     """Return the scenario of one of the experiments of Yacef et al.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Flight in calm air or in wind.
-    values : mapping, optional
-        Fields of the scenario to change: new value of each field by its dotted path, such as
-        "mission.duration".
+    `values` has new values of fields by dotted path, such as "mission.duration".
     """
     name, wind = _NAMED[experiment]
     scenario = scenario_from_mapping(
@@ -103,13 +97,8 @@ class BaselineFlight:
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
     """List the settings of the report's flights under the adaptive controller.
 
-    The power models are `motor` and `efficiency`.
-
-    Parameters
-    ----------
-    is_quick : bool, optional
-        Whether to leave out the flights along the reference trajectory that jumps to the goal at
-        the start of the flight.
+    The power models are `motor` and `efficiency`. If `is_quick` is true, flights along the
+    reference that jumps to the goal at the start are left out.
     """
     references = (Reference.QUINTIC,) if is_quick else (Reference.QUINTIC, Reference.STEP)
     cases = product(Experiment, (PowerModel.MOTOR, PowerModel.EFFICIENCY), references)
@@ -135,17 +124,12 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the efficiency f_r. Only a flight whose rotors accelerate and brake
-    all the time takes more energy. The report compares this energy with the one that Yacef et al.
-    print for adaptive control.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Flight in calm air or in wind.
+    The power is computed with the efficiency f_r. The report compares the result with the energy
+    that Yacef et al. print for adaptive control.
     """
     scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
     steady = Planner().steady_flight(scenario)
+    # Only a flight whose rotors accelerate and brake all the time takes more energy.
     return float(steady.power(scenario.limits.rotor_speed_max)) * scenario.mission.fixed_duration
 
 
@@ -207,13 +191,11 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. If the solver did not converge, the flight may be verified by
-        simulation (`flight.is_verified`), but its optimality is unproven.
+        Status of the solve. A flight may be verified even if the solver did not converge.
     hover_energy_J : float
-        Energy of a hover of equal duration, under the power model of the flight [J].
+        Energy of a hover of equal duration, under the same power model [J].
     end_prices : mapping
-        Costates at the end of the plan, by the name of the state; empty if the solve found no
-        optimum.
+        Costates at the end, by the state's name; empty without an optimum.
     """
 
     case: FlightCase
@@ -226,13 +208,8 @@ class PaperFlight:
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
     """List the settings of both experiments of Yacef et al. with each of five power models.
 
-    The power models are all models of the package except `momentum`. This model needs the rotor
-    radius, which the paper does not give.
-
-    Parameters
-    ----------
-    is_quick : bool, optional
-        Whether to solve on a coarse mesh without refinement.
+    The model `momentum` is left out, because the paper does not give the rotor radius. If
+    `is_quick` is true, the mesh is coarse and not refined.
     """
     return tuple(
         FlightCase(experiment=experiment, power_model=model, is_quick=is_quick)
@@ -243,12 +220,8 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
     """List the settings of the flight in calm air with each of two batteries.
 
-    The first battery is the pack of the vehicle's maker. The second is the cell of Yacef et al.
-
-    Parameters
-    ----------
-    is_quick : bool, optional
-        Whether to solve on a coarse mesh without refinement.
+    They are the pack of the vehicle's maker and the cell of Yacef et al. If `is_quick` is true, the
+    mesh is coarse and not refined.
     """
     calm = FlightCase(experiment=Experiment.CALM, power_model=PowerModel.MOTOR, is_quick=is_quick)
     return tuple(replace(calm, battery=battery) for battery in (PHANTOM_PACK, PAPER_CELL))
@@ -257,13 +230,8 @@ def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
     """List the settings of the flight in wind with each of four interpretations of the wind.
 
-    The wind acts either as an acceleration or by drag, and its frequencies are either in rad/s or
-    in Hz. The four combinations are the four interpretations.
-
-    Parameters
-    ----------
-    is_quick : bool, optional
-        Whether to solve on a coarse mesh without refinement.
+    The wind acts as an acceleration or by drag, and its frequencies are in rad/s or in Hz. If
+    `is_quick` is true, the mesh is coarse and not refined.
     """
     windy = FlightCase(experiment=Experiment.WIND, power_model=PowerModel.MOTOR, is_quick=is_quick)
     readings = product(WindCoupling, FrequencyUnit)

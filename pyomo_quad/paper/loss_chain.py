@@ -1,9 +1,8 @@
 """Counterpart of figure 1 of Yacef et al.: chain of losses of a flight, and map of f_r.
 
 The chain of losses follows the energy from the battery, through the battery's resistance and the
-windings of the motors, to the rotors. f_r is the efficiency of motor and rotor in the paper of
-Yacef et al. The map shows f_r over rotor speed and torque, with the speeds and torques of the
-flight.
+windings of the motors, to the rotors. The map shows f_r, the efficiency of motor and rotor in the
+paper of Yacef et al., over rotor speed and torque.
 """
 
 from dataclasses import dataclass
@@ -45,8 +44,7 @@ class EnergyChain:
     copper_loss, shaft : float
         Loss in the motors' windings, and energy supplied to the rotors.
     constant_product : float
-        Torque constant k_t times speed constant k_v of a motor: 1 if the motor conserves energy,
-        greater than 1 if it would create energy.
+        Product k_t k_v of a motor: 1 if it conserves energy, greater if it would create energy.
     """
 
     drawn: float
@@ -60,8 +58,8 @@ class EnergyChain:
     def created(self) -> float:
         """Shaft energy minus the electrical energy that remains after the loss in the windings [J].
 
-        The difference is zero for a real motor, with k_t k_v = 1. The constants that Yacef et al.
-        print have a greater product, and the difference is positive.
+        For a real motor, k_t k_v = 1 and the difference is zero. With the greater product of the
+        constants that Yacef et al. print, the difference is positive.
         """
         return self.shaft - self.passed
 
@@ -72,22 +70,10 @@ class EnergyChain:
 
 
 def energy_chain(flown: PaperFlight) -> EnergyChain:
-    """Integrate the energy losses of a flight over time, from the battery to the rotors.
+    """Integrate the energy losses of a flight over time, from the battery to the rotors [J].
 
-    Parameters
-    ----------
-    flown : PaperFlight
-        Optimal flight under the power model `motor`, the motors' electrical power.
-
-    Returns
-    -------
-    EnergyChain
-        Energies and losses [J].
-
-    Raises
-    ------
-    ScenarioError
-        If the vehicle has no motor constants.
+    `flown` is the optimal flight under the power model `motor`. Without motor constants of the
+    vehicle, a ScenarioError is raised.
     """
     frame, scenario = flown.flight.frame, flown.case.scenario
     time = frame[TIME].to_numpy()
@@ -122,17 +108,8 @@ def draw_loss_chain(
 ) -> Figure:
     """Draw the chain of losses of a flight, and below it the flight on the map of f_r.
 
-    Parameters
-    ----------
-    chain : EnergyChain
-        Energies of the chain.
-    sampled : EfficiencyMap
-        The efficiency f_r over rotor speed and torque.
-    flown : PaperFlight
-        The flight.
-    bound : float
-        Weakest braking at which f_r is zero, as an absolute rotor acceleration [rad/s²]. A line on
-        the map shows the torques at this acceleration.
+    `bound` is the absolute rotor acceleration of the weakest braking with f_r = 0 [rad/s²]. A line
+    on the map shows the torque of this braking.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
     _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)

@@ -1,9 +1,9 @@
 """Two interpretations of the efficiency f_r of Yacef et al., and solves with each of them.
 
-f_r is the efficiency of motor and rotor. It is a polynomial, which the paper of Yacef et al. does
-not print, and which was recovered from public re-implementations. At some braking torques, the
-polynomial is zero. If the rotors may reach these torques and f_r has no lower limit, the optimal
-control problem has no minimum. The solves are made on fixed meshes.
+f_r, the efficiency of motor and rotor, is a polynomial of torque and speed. It was recovered from
+public re-implementations, and is zero at some braking torques. If the rotors may reach these
+torques and f_r has no lower limit, the optimal control problem has no minimum. The solves use fixed
+meshes.
 """
 
 from dataclasses import dataclass
@@ -60,8 +60,8 @@ class Reading(StrEnum):
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's Pyomo model without the battery.
 
-    Where f_r is zero, the power is infinite, and the current of a battery undefined. The energy of
-    a flight does not depend on the battery.
+    The energy of a flight does not depend on the battery, whose current is undefined where f_r is
+    zero.
     """
     m = build_model(scenario)
     m.del_component(m.battery)
@@ -69,15 +69,10 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 
 
 def literal_model(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's model in which the efficiency f_r is the polynomial without lower limits.
+    """Build a mission's model in which f_r and its torque have no lower limits, without battery.
 
-    The torque in f_r has no lower limit either, and the model has no battery.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, with the fields that `Reading.LITERAL.values()` returns: the power model must
-        be `efficiency`, which uses f_r, and regeneration must be enabled.
+    The scenario needs the fields of `Reading.LITERAL.values()`: the power model `efficiency`, which
+    uses f_r, and regeneration.
     """
     m = model_without_battery(scenario)
     m.power.torque_floor.set_value(_NO_FLOOR)
@@ -129,8 +124,7 @@ class TrialOutcome:
     Attributes
     ----------
     trial : MeshTrial
-        Settings of the solve: interpretation of the efficiency f_r of Yacef et al., upper bound on
-        the rotor acceleration, and mesh.
+        Settings of the solve.
     has_converged : bool
         Whether the solver converged.
     energy_J : float
@@ -151,33 +145,15 @@ class TrialOutcome:
 def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
     """List the settings of all solves on fixed meshes.
 
-    The settings combine each interpretation of the efficiency f_r of Yacef et al. with several
-    upper bounds on the rotor acceleration and several meshes.
-
-    Parameters
-    ----------
-    is_quick : bool, optional
-        Whether to use the coarsest mesh only.
+    They combine each interpretation of f_r with several bounds on the rotor acceleration and
+    several meshes. If `is_quick` is true, only the coarsest mesh is used.
     """
     trials = product(Reading, _BOUNDS, _ELEMENTS[:1] if is_quick else _ELEMENTS)
     return tuple(MeshTrial(reading=r, bound=bound, elements=count) for r, bound, count in trials)
 
 
 def run_trial(trial: MeshTrial) -> TrialOutcome:
-    """Solve the experiment of Yacef et al. in calm air on one mesh, and simulate the controls.
-
-    Parameters
-    ----------
-    trial : MeshTrial
-        Settings of the solve: interpretation of the efficiency f_r of motor and rotor, upper bound
-        on the rotor acceleration, and mesh.
-
-    Returns
-    -------
-    TrialOutcome
-        Whether the solver converged, the energy by the quadrature on the mesh, and the energy and
-        the distance from the goal when the controls are simulated.
-    """
+    """Solve the experiment of Yacef et al. in calm air on one mesh, and simulate the controls."""
     scenario = paper_scenario(
         Experiment.CALM,
         trial.reading.values() | {"limits.rotor_acceleration_max": trial.bound},

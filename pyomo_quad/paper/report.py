@@ -69,17 +69,8 @@ TIMES_NAME = "timings.json"
 def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.SVG) -> None:
     """Write the report on the paper of Yacef et al.: `report.md`, tables and figures.
 
-    Equal results give identical files. The wall times differ from run to run and are therefore
-    written to a separate file.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder that holds no report.
-    study : PaperStudy
-        Results of the study.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
+    `folder` exists and holds no report. Equal results give identical files, except for the wall
+    times, which have a separate file.
     """
     tables = paper.paper_tables(study)
     optimum = paper.find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)

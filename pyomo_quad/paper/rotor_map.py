@@ -3,9 +3,9 @@
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the
 equations of the Pyomo model.
 
-The least energy is a lower bound (floor), even for "chattering" flights, whose rotors alternate
-arbitrarily fast between speeds and accelerations. The mean power of these flights is at least the
-convex envelope of the power. The report's template `examination.md.j2` gives the derivation.
+The least energy is a lower bound, also for "chattering" flights: their rotors alternate arbitrarily
+fast between speeds and accelerations. Their mean power is at least the convex envelope of the
+power. The template `examination.md.j2` has the derivation.
 """
 
 from dataclasses import dataclass
@@ -42,11 +42,11 @@ class RotorMap:
     acceleration : ndarray, shape (k,)
         Rotor accelerations [rad/s²], ascending.
     thrust : ndarray, shape (n,)
-        Thrust of one rotor [N].
+        Thrust [N].
     torque, power : ndarray, shape (n, k)
-        Torque [N m] and power [W] of one rotor.
+        Torque [N m] and power [W].
     efficiency : ndarray, shape (n, k)
-        Efficiency f_r of motor and rotor of Yacef et al.; 1 if no efficiency was sampled.
+        f_r of Yacef et al.; 1 if no efficiency was sampled.
     """
 
     speed: FloatArray
@@ -62,15 +62,8 @@ def rotor_map(
 ) -> RotorMap:
     """Sample thrust, torque, power and efficiency of one rotor from the model's equations.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Compiled equations.
-    speed, acceleration : ndarray
-        Rotor speeds [rad/s] and accelerations [rad/s²] of the samples.
-    efficiency : str or None
-        Name of the model component that holds the efficiency, such as "power.drive_efficiency".
-        With None the efficiency is 1 everywhere.
+    Speeds are in rad/s, accelerations in rad/s². `efficiency` is a model component, such as
+    "power.drive_efficiency". With None, the efficiency is 1.
     """
     count = speed.size * acceleration.size
     states = np.zeros((count, len(dynamics.state_names)))
@@ -94,27 +87,16 @@ def rotor_map(
 
 
 def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
-    """Return the value of the convex envelope (greatest convex lower bound) of sampled functions.
+    """Return the convex envelope (greatest convex lower bound) of sampled functions at `at`.
 
-    Parameters
-    ----------
-    x : ndarray, shape (k,)
-        Arguments of the samples, ascending.
-    y : ndarray, shape (..., k)
-        Values of one or more functions.
-    at : float
-        Argument at which the envelope is evaluated, between the ends of x.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Value of the convex envelope of each function at `at`: the least value there of all straight
-        lines between two samples.
+    `x`, shape (k,), has the ascending arguments, and `y`, shape (..., k), the values of the
+    functions. `at` lies between the ends of `x`.
     """
     left, right = x <= at, x >= at
     width = x[right][None, :] - x[left][:, None]
     share = np.divide(at - x[left][:, None], width, out=np.zeros_like(width), where=width > 0)
     chords = y[..., left][..., :, None] * (1 - share) + y[..., right][..., None, :] * share
+    # The envelope is the least value at `at` of all straight lines between two samples.
     return chords.min(axis=(-2, -1))
 
 
@@ -123,21 +105,8 @@ def chattering_floors(
 ) -> FloatArray:
     """Compute lower bounds on the energy of any flight in calm air under the efficiency f_r.
 
-    The lower bounds hold even for flights whose rotors alternate arbitrarily fast between speeds
-    and accelerations ("chattering").
-
-    Parameters
-    ----------
-    reading : Reading
-        Interpretation of f_r.
-    bounds : tuple of float, optional
-        Upper bounds on the absolute rotor acceleration [rad/s²]; one result for each.
-
-    Returns
-    -------
-    ndarray, shape (len(bounds), 2)
-        First column: the upper bounds [rad/s²]. Second column: the lower bounds on the energy [J],
-        minus infinity if f_r reaches zero at a permitted acceleration.
+    The result has a row for each of `bounds`, upper bounds on the absolute rotor acceleration: this
+    bound [rad/s²], and the result of `floor_energy` [J].
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -152,25 +121,10 @@ def chattering_floors(
 
 
 def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
-    """Compute a lower bound on the energy of any flight whose rotor acceleration is bounded.
+    """Compute a lower bound on the energy of any flight whose rotor acceleration is bounded [J].
 
-    The lower bound holds even for flights whose rotors alternate arbitrarily fast between speeds
-    and accelerations.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with vehicle and duration.
-    sampled : RotorMap
-        Power and efficiency f_r of one rotor.
-    bound : float
-        Upper bound on the absolute rotor acceleration [rad/s²].
-
-    Returns
-    -------
-    float
-        Lower bound on the energy [J]; minus infinity if f_r reaches zero at a permitted rotor
-        acceleration.
+    `bound` is on the absolute acceleration [rad/s²]. The result holds for chattering flights, too.
+    If f_r reaches zero at a permitted acceleration, it is minus infinity.
     """
     allowed = np.abs(sampled.acceleration) <= bound
     if sampled.efficiency[:, allowed].min() <= 0.0:
@@ -182,25 +136,15 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 
 
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
-    """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
+    """Find the weakest braking of a rotor at which the polynomial f_r reaches zero.
 
-    f_r is the polynomial without lower limit. If the permitted braking exceeds the result, the
-    energy of flights has no minimum.
-
-    Parameters
-    ----------
-    samples : int, optional
-        Number of sampled speeds, and number of sampled accelerations.
-
-    Returns
-    -------
-    bound, speed : float
-        Weakest braking at which f_r is zero, as an absolute rotor acceleration [rad/s²], and the
-        rotor speed of this zero [rad/s]. Braking up to 3000 rad/s² is searched.
+    The results are its absolute acceleration [rad/s²] and its rotor speed [rad/s]. If the permitted
+    braking is stronger, the energy of flights has no minimum.
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
     speed = np.linspace(0.0, scenario.limits.rotor_speed_max, samples)
+    # Up to 3000 rad/s².
     braking = -np.linspace(0.0, max(BOUNDS), samples)[::-1]
     sampled = rotor_map(dynamics, speed, braking, "power.efficiency_polynomial")
     zeros = [_last_zero(braking, row) for row in sampled.efficiency]

@@ -44,18 +44,17 @@ class PackFacts:
     battery : str
         Library name of the battery.
     cells_series, cells_parallel : int
-        Number of cells in series, and number of strings of such cells in parallel.
+        Cells in series, and parallel strings of such cells.
     power_model : PowerModel
-        Power model with which the power of hovering is computed.
+        Power model of the hover.
     stored_energy_J : float
-        Energy that the battery stores: integral of the open-circuit voltage over the charge, from a
-        full battery to 1 % of the charge.
+        Integral of the open-circuit voltage over the charge, from full to 1 %.
     hover_energy_J, hover_power_W : float
-        Energy of a hover of the mission's duration, and power of this hover.
+        Energy and power of a hover of the mission's duration.
     greatest_power_W : float
-        Greatest power that the pack can supply at the start of the mission.
+        Greatest power of the pack at the start.
     shortfalls : tuple of str
-        Reasons why the pack cannot supply a hover of the mission's duration, one line each.
+        Reasons why the pack cannot supply the hover.
     """
 
     battery: str
@@ -72,14 +71,8 @@ class PackFacts:
 def pack_facts() -> tuple[PackFacts, ...]:
     """Compare energy and power of three battery packs with those that a hover needs.
 
-    The hover lasts as long as the experiment of Yacef et al. in calm air. Its power is computed
-    with two power models: `MOTOR` (electrical power of the motors) and `EFFICIENCY` (with the
-    efficiency f_r of Yacef et al.).
-
-    Returns
-    -------
-    tuple of PackFacts
-        One entry for each power model and pack.
+    The hover lasts as long as the experiment in calm air. The power models are `MOTOR` and
+    `EFFICIENCY`. The result has one entry for each power model and pack.
     """
     planner = Planner()
     cases = product((PowerModel.MOTOR, PowerModel.EFFICIENCY), _PACKS)
@@ -115,32 +108,26 @@ WORKERS = 2
 class PaperStudy:
     """All results of the study that reproduces the experiments of Yacef et al.
 
-    The experiments are a flight in calm air and a flight in wind. f_r is the efficiency of motor
-    and rotor in the paper of Yacef et al.
-
     Attributes
     ----------
     flights : tuple of PaperFlight
-        Optimal flights of both experiments, one for each power model except `momentum`.
+        Flights of `flight_cases`.
     wind_flights : tuple of PaperFlight
-        Optimal flights in wind, one for each interpretation of the wind that the paper permits.
+        Flights of `wind_cases`.
     battery_flights : tuple of PaperFlight
-        Optimal flights in calm air, one for each of two batteries.
+        Flights of `battery_cases`.
     baselines : tuple of BaselineFlight
         Flights of both experiments under the adaptive controller.
     packs : tuple of PackFacts
-        Energy and power of the batteries, compared with hovering.
+        Batteries, compared with hovering.
     floors : dict
-        Result of `chattering_floors` for each interpretation of f_r in `Reading`: upper bound on
-        the absolute rotor acceleration [rad/s²], and lower bound on the energy of any flight [J].
+        Result of `chattering_floors` for each interpretation of f_r.
     critical_acceleration, critical_speed : float
-        Weakest braking of a rotor at which f_r reaches zero, as an absolute rotor acceleration
-        [rad/s²], and the rotor speed at which this occurs [rad/s].
+        Result of `critical_acceleration` [rad/s², rad/s].
     efficiency_map : EfficiencyMap
         f_r over rotor speed and torque.
     trials : tuple of TrialOutcome
-        Results of solves under f_r on fixed meshes, with different bounds on the rotor
-        acceleration.
+        Solves under f_r on fixed meshes.
     seconds : dict
         Wall time of each result [s], by "part: name", such as "critical: zeros of f_r".
     """
@@ -167,13 +154,8 @@ class _Task(NamedTuple):
 def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> PaperStudy:
     """Compute all results of the study of Yacef et al. in two worker processes.
 
-    Parameters
-    ----------
-    is_quick : bool, optional
-        Whether to use coarse meshes, and fewer of them.
-    step : callable, optional
-        Shows the progress. It is called after each result with its name, the number of results so
-        far and the number of all results.
+    If `is_quick` is true, meshes are coarse and fewer. After each result, `step` is called with its
+    name, the number of results so far and the number of all results.
     """
     tasks = _tasks(is_quick=is_quick)
     results: list[Any] = [None] * len(tasks)

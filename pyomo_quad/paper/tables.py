@@ -71,18 +71,8 @@ def _used(values: dict[str, object], field: str) -> float:
 def corrections(study: PaperStudy) -> dict[str, Any]:
     """Return the numbers with which the report shows errors and gaps in the paper of Yacef et al.
 
-    An example is the thrust at the rotor speed that the paper prints for hover: it is less than the
-    weight.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        Results of the study.
-
-    Returns
-    -------
-    dict
-        Numbers and results by name. The template of the report's text inserts them by these names.
+    An example is the lack of thrust at the rotor speed that the paper prints for hover. The
+    template of the report inserts the numbers by name.
     """
     printed = paper_parameters().set_index("field")["printed"]["vehicle.torque_constant"]
     scenario = paper_scenario(Experiment.CALM)
@@ -177,19 +167,7 @@ def find_flight(
 ) -> PaperFlight:
     """Return the optimal flight of an experiment under a power model.
 
-    Parameters
-    ----------
-    flights : iterable of PaperFlight
-        Flights to search.
-    experiment : Experiment
-        The experiment.
-    model : PowerModel
-        The power model.
-
-    Raises
-    ------
-    StopIteration
-        If there is no such flight.
+    If there is no such flight, StopIteration is raised.
     """
     return next(
         flown
@@ -203,21 +181,7 @@ def find_baseline(
 ) -> BaselineFlight:
     """Return the adaptive controller's flight of an experiment along a reference trajectory.
 
-    Parameters
-    ----------
-    study : PaperStudy
-        Results of the study.
-    experiment : Experiment
-        The experiment.
-    model : PowerModel
-        The power model.
-    reference : Reference
-        The reference trajectory.
-
-    Raises
-    ------
-    StopIteration
-        If there is no such flight.
+    If there is no such flight, StopIteration is raised.
     """
     return next(
         flown
@@ -264,21 +228,8 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """Return the table row that compares an adaptive controller's flight with the optimum.
 
-    The savings are 100 (E - E_min) / E and, for the excess over hovering, 100 (E - E_min) / (E -
-    E_hover). E is the energy of the flight to the exact goal state (`settled_energy`). E_hover is
-    the energy of hovering, and E_min that of the optimal plan under the flight's power model.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        Results of the study, which contain the optimum.
-    flown : BaselineFlight
-        The controlled flight.
-
-    Returns
-    -------
-    dict
-        Value of each column by its name.
+    The savings are 100 (E - E_min) / E and 100 (E - E_min) / (E - E_hover). E is the flight's
+    `settled_energy`, E_min the energy of the optimal plan, E_hover that of hovering.
     """
     case = flown.case
     optimum = find_flight(study.flights, case.experiment, case.power_model)

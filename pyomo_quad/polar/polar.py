@@ -1,11 +1,10 @@
 """Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
-Each point of the polar is a trim: attitude and rotor speeds of level flight at one airspeed. The
-scenario's model gives the trim and its power P. The velocity through the air is the velocity over
-ground minus the wind.
+Each point of the polar is a trim: attitude, rotor speeds and power P at one airspeed. The air
+velocity is the ground velocity minus the wind.
 
-At ground speed g, the energy per metre over ground is P / g. If the flight time has a price c [J/s
-= W], the cost per metre is (P + c) / g.
+At ground speed g, the energy per metre is P / g. If flight time has a price c [J/s = W], the cost
+per metre is (P + c) / g.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,13 +51,11 @@ class SteadyCurve:
     payload_kg : float
         Mass of the payload [kg].
     airspeeds : ndarray, shape (n,)
-        Airspeeds from 0 in steps of 0.5 m/s [m/s], up to the greatest that the vehicle can fly, but
-        at most 39.5 m/s.
+        Airspeeds in steps of 0.5 m/s [m/s], from 0 to the greatest possible, at most 39.5 m/s.
     powers : ndarray, shape (n,)
         Power at each airspeed [W].
     endurances : ndarray, shape (n,)
-        Flight time at each airspeed [s], from a full battery to the least state of charge that the
-        scenario allows.
+        Flight time [s] from a full battery to the least allowed state of charge.
     """
 
     payload_kg: float
@@ -95,26 +92,10 @@ class SteadyCurve:
     def best_over_ground(
         self, wind: float = 0.0, angle: float = 0.0, price_of_time: float = 0.0
     ) -> "GroundSpeed":
-        """Return the ground speed with the least energy per metre on a course in a wind.
+        """Return the ground speed with the least cost per metre in a wind [m/s].
 
-        The energy per metre is power / ground speed. If the flight time has a price, the best
-        ground speed minimises (power + price) / ground speed instead.
-
-        Parameters
-        ----------
-        wind : float, optional
-            Speed of the wind [m/s].
-        angle : float, optional
-            Angle between the course and the direction to which the wind blows [rad]; 0 is a tail
-            wind.
-        price_of_time : float, optional
-            Price of the flight time, as energy per second of flight [W]; 0 for no price.
-
-        Returns
-        -------
-        GroundSpeed
-            The best ground speed, with airspeed, power and endurance. The endurance is zero if the
-            wind is too strong for the course.
+        `angle` [rad] is measured from the course to the direction toward which the wind blows; 0 is
+        a tail wind. The endurance is zero if the wind is too strong.
         """
         along, across = wind * np.cos(angle), wind * np.sin(angle)
 
@@ -156,17 +137,18 @@ def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray)
 class GroundSpeed:
     """Steady flight at one ground speed, with its energy per metre and its range.
 
+    If the wind is too strong for the course, the ground speed and the endurance are zero.
+
     Attributes
     ----------
     ground_speed : float
-        Speed over the ground [m/s]; without meaning if `endurance` is zero.
+        Speed over the ground [m/s].
     airspeed : float
         Speed through the air [m/s]; NaN at zero ground speed.
     power : float
-        Power [W]; NaN at zero ground speed, infinite above the vehicle's greatest airspeed.
+        Power [W]; NaN at zero ground speed.
     endurance : float
-        Flight time [s], from a full battery to the least state of charge that the scenario allows.
-        It is zero if the wind is too strong for the course.
+        Flight time [s], as in `SteadyCurve`.
     """
 
     ground_speed: float
@@ -194,21 +176,15 @@ class Polar:
     scenario : Scenario
         Scenario with the vehicle.
     curves : tuple of SteadyCurve
-        Curve of each payload: the scenario's own payload, then 10 % and 20 % of the vehicle's mass
-        more.
+        One curve for each payload, the scenario's own first.
     winds : DataFrame
-        One row for each wind speed [m/s] and angle [deg] between the course and the direction to
-        which the wind blows: 0 to 180 degrees, in calm air only 0. Further columns are the ground
-        speed of least energy per metre and the airspeed [m/s], power [W], energy per metre over
-        ground [J/m] and range [m].
+        Best ground speed for each wind.
     reach : DataFrame
-        One row for each course [deg] in the mean wind: ground speeds out and back [m/s], and
-        greatest distance [m] from which the vehicle returns on the same battery charge.
+        Greatest distance of a return flight on each course [m].
     wind_m_s, wind_towards_rad : float
-        Speed of the mean wind, and direction to which the wind blows, counter-clockwise from x.
+        Speed and direction of the mean wind.
     depth : float
-        Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
-        charge.
+        Usable fraction of the battery's capacity.
     """
 
     scenario: Scenario
@@ -216,6 +192,7 @@ class Polar:
     winds: pd.DataFrame
     reach: pd.DataFrame
     wind_m_s: float
+    # Direction toward which the wind blows, counter-clockwise from x.
     wind_towards_rad: float
     depth: float
 
@@ -228,22 +205,8 @@ class Polar:
 def find_polar(scenario: Scenario) -> Polar:
     """Compute steady flight of a scenario's vehicle over airspeed, payload and wind.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with vehicle, battery, limits and wind.
-
-    Returns
-    -------
-    Polar
-        Curves of power, best speeds in wind, and for each course the greatest distance from which
-        the vehicle returns on the same battery charge.
-
-    Raises
-    ------
-    SolveError
-        If the vehicle cannot hover with one of the payloads (see `Polar.curves`), or cannot fly at
-        0.5 m/s within its limits.
+    Raises SolveError if the vehicle cannot hover with one of the payloads, or cannot fly at 0.5 m/s
+    within its limits.
     """
     planner = Planner()
     depth = 1.0 - scenario.limits.least_charge
@@ -270,23 +233,8 @@ def find_polar(scenario: Scenario) -> Polar:
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
     """Compute power and endurance of level flight at airspeeds from 0 in steps of 0.5 m/s.
 
-    The airspeeds end before thrust, rotor speed, roll or pitch exceeds its limit, or where no
-    steady flight exists, at the latest at 39.5 m/s. At airspeed 0 the limits are not checked.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the limits.
-    steady : SteadyFlight
-        Solver for steady flight of the scenario's vehicle.
-    depth : float
-        Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
-        charge.
-
-    Raises
-    ------
-    SolveError
-        If the vehicle cannot hover, or cannot fly at 0.5 m/s within its limits.
+    `depth` is the usable fraction of the battery's capacity. Raises SolveError if the vehicle
+    cannot hover, or cannot fly at 0.5 m/s within its limits.
     """
     speeds: list[float] = []
     powers: list[float] = []
@@ -299,6 +247,7 @@ def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> Stea
             if not speeds:
                 raise
             break
+        # The limits are not checked at airspeed 0.
         if speeds and not _is_allowed(scenario, steady, trim):
             break
         speeds.append(float(speed))
@@ -332,6 +281,7 @@ def _is_allowed(scenario: Scenario, steady: SteadyFlight, trim: Trim) -> bool:
 
 def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
     rows = []
+    # The angle is that between the course and the direction toward which the wind blows.
     for wind in winds:
         for angle in np.linspace(0.0, np.pi, _DIRECTIONS // 2 + 1):
             best = curve.best_over_ground(wind, float(angle))

@@ -1,14 +1,10 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
-The flight is straight and level, at the ground speed of least energy per metre in the local wind.
-The wind is that at the start time of the mission. Over rising terrain the vehicle climbs to keep
-the floor, the least allowed height above ground. Keep-out zones are ignored.
+The vehicle flies straight at the speed of least energy per metre, in the wind at the start time. It
+climbs over terrain, and ignores keep-out zones.
 
-The usable charge is the charge above the least state of charge that the scenario allows. If the
-usable charge lasts for R metres in the local wind, one metre takes the fraction 1 / R of it. Climbs
-take further fractions, and so does the way back if the vehicle returns. The reach ends where all
-fractions sum to 1, where the wind is too strong for the course, or at the edge of the terrain or
-wind field.
+If the usable charge lasts for R metres, each metre uses the fraction 1 / R. Climbs use further
+fractions. The reach ends where their sum is 1.
 """
 
 import json
@@ -61,12 +57,10 @@ class Reach:
     has_return : bool
         Whether the charge must also suffice for the flight back to the start.
     boundary : DataFrame
-        One row for each course: course [deg from x, counter-clockwise], and distance and position
-        of the boundary [m]. A further column is True if the vehicle could fly farther, but wind
-        field or terrain ends at the boundary.
+        Course [deg from x, counter-clockwise], distance and position of the boundary [m], and
+        whether wind field or terrain ends there.
     depth : float
-        Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
-        charge.
+        Usable fraction of the battery's capacity.
     """
 
     scenario: Scenario
@@ -78,17 +72,8 @@ class Reach:
 def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     """Compute how far a vehicle flies on one battery charge, on each course from its start.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with vehicle, battery, start and wind.
-    has_return : bool
-        Whether the charge must also suffice for the flight back to the start.
-
-    Raises
-    ------
-    SolveError
-        If the vehicle cannot hover, fly at 0.5 m/s within its limits, or climb over terrain.
+    If `has_return`, the charge includes the flight back. Raises SolveError if the vehicle cannot
+    hover, fly at 0.5 m/s within its limits, or climb over terrain.
     """
     planner = Planner()
     depth, steady = 1.0 - scenario.limits.least_charge, planner.steady_flight(scenario)
@@ -124,6 +109,7 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
     the result has shape (n_courses, n_steps).
     """
     start, airspace = np.array(scenario.mission.start.position), scenario.airspace
+    # The vehicle keeps the floor, the least allowed height above ground.
     found = np.full((len(headings), along.size), start[2])
     if airspace.ground is None:
         return found
@@ -213,9 +199,11 @@ def _boundary_on(
 ) -> dict[str, Any]:
     """Return the row of `Reach.boundary` for one course.
 
-    `share` is the fraction of the usable charge per metre of level flight [1/m], infinite where the
-    wind is too strong. `climbed` is the fraction for all climbs up to each distance.
+    `share` is the fraction of the usable charge per metre [1/m] at each distance `along` the
+    course, infinite if the wind is too strong. `climbed` is the fraction used for climbs up to each
+    distance.
     """
+    # If the vehicle returns, `share` includes the flight back over the same metre.
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
     used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])
     # The wind stops the vehicle at the first place to which a metre takes an infinite charge.
@@ -261,19 +249,7 @@ def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
 def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> dict[str, Any]:
     """Write the report of a vehicle's reach: boundary (CSV, GeoJSON), figure and text.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    reach : Reach
-        Boundary of the places within reach.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
-
-    Returns
-    -------
-    dict
-        The content of `summary.json`.
+    `folder` must exist and be empty. The result is the content of `summary.json`.
     """
     outline = boundary_geojson(reach)
     if outline is not None:
@@ -324,13 +300,8 @@ _ARROWS = 9  # along each side of the map
 def draw_reach_map(reach: Reach) -> Figure:
     """Draw a map of the places that a vehicle reaches on one battery charge, and of the wind.
 
-    Arrows show the wind at the height of the start. The boundary is dotted where the wind field or
-    the terrain ends.
-
-    Parameters
-    ----------
-    reach : Reach
-        Boundary of the places that the vehicle reaches from its start.
+    The arrows show the wind at the height of the start. The boundary is dotted where the wind field
+    or the terrain ends.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.2))
     axes = figure.add_axes((0.12, 0.1, 0.84, 0.86))

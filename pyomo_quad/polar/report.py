@@ -37,14 +37,7 @@ _POLAR_NAME, _WIND_NAME, _REACH_NAME = "polar.csv", "wind.csv", "reach.csv"
 def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> None:
     """Write the report of a vehicle's polar: tables (CSV), `summary.json`, figures and text.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    polar : Polar
-        Steady flight over airspeed, payload and wind.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
+    `folder` must exist and be empty.
     """
     ends = polar.winds[polar.winds[ANGLE].isin((0.0, 90.0, 180.0))]
     write_study(
@@ -73,9 +66,8 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 def polar_summary(polar: Polar) -> dict[str, Any]:
     """Return the main results of a polar as a dictionary for `summary.json`.
 
-    A polar may have curves of several payloads. The dictionary describes only the scenario's own
-    payload. The reach is the greatest distance from which the vehicle returns to the start on the
-    same battery charge.
+    The results are those of the scenario's own payload. The reach is the greatest distance [m] of a
+    return flight.
     """
     facts = _facts(polar.own)
     best = facts.pop("best")
@@ -135,16 +127,8 @@ _KILO = 1e-3
 def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
     """List the figures of a polar's report, each with its caption and drawing function.
 
-    Parameters
-    ----------
-    polar : Polar
-        Steady flight over airspeed, payload and wind.
-
-    Returns
-    -------
-    tuple of Drawing
-        Figures of power over airspeed, of the best ground speeds in wind, and of the greatest
-        distance to which the vehicle can fly and return.
+    They show power over airspeed, best ground speeds in wind, and the greatest distance of a return
+    flight.
     """
     power = (
         "Level, steady flight in still air for each mass carried. The dots mark the speeds of "

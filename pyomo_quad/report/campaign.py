@@ -26,22 +26,8 @@ def write_campaign(
 ) -> dict[str, Any]:
     """Write the report of a campaign: table (CSV), `summary.json`, figure and text.
 
-    A campaign repeats missions on each of one or more battery charges. A charge ends if no further
-    flight is possible, or after 1000 flights.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    campaign : Campaign
-        The flights on each battery charge.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
-
-    Returns
-    -------
-    dict
-        The content of `summary.json`.
+    A battery charge ends if no further flight is possible, or after 1000 flights. `folder` must
+    exist and be empty. The result is the content of `summary.json`.
     """
     summary = campaign_summary(campaign)
     table = campaign.table()
@@ -91,13 +77,8 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 def campaign_words(campaign: Campaign) -> list[str]:
     """Return one sentence for each battery charge of a campaign of repeated missions.
 
-    The sentence gives the number, total time and total energy of the flights on the charge, and the
-    reason why no further flight followed.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Flights on one or more battery charges.
+    The sentence gives number, total time and total energy of the flights, and the reason why no
+    further flight followed.
     """
     said = []
     for charge, (count, ending) in enumerate(
@@ -116,13 +97,8 @@ def campaign_words(campaign: Campaign) -> list[str]:
 def draw_campaign(campaign: Campaign) -> Figure:
     """Draw state of charge and lowest pack voltage of each flight of a campaign, in two panels.
 
-    The state of charge is drawn at the start and at the end of each flight. Dashed lines mark the
-    lowest permitted values of the first mission, if it limits them.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Flights on one or more battery charges.
+    Dashed lines mark the lowest state of charge and, if it is limited, the lowest voltage that the
+    first mission permits.
     """
     figure, panels = panel_grid(2, 1, panel_height=1.7, left=0.6, legend_entries=campaign.charges)
     charge_panel, voltage_panel = panels[:, 0]

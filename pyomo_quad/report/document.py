@@ -33,14 +33,13 @@ class Drawing:
     name : str
         Name of the figure's file, without ending.
     title, caption : str
-        Heading above the figure, and text below the figure.
+        Heading above the figure, and text below it.
     draw : callable
-        Function without arguments that draws and returns the matplotlib Figure.
+        Function without arguments that returns the matplotlib Figure.
     needs : tuple of str
-        Columns of a flight's table that the figure shows. The lists of `report.gallery` leave out a
-        figure if the table lacks one of them.
+        Columns of the flight's table that the figure requires.
     formats : tuple of str
-        File endings in which the figure is written.
+        File endings of the figure.
     """
 
     name: str
@@ -59,15 +58,7 @@ class Drawing:
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
     """Return the figures of a report, with the file formats in which they are to be written.
 
-    The result holds copies of `drawings` with the attribute `formats` set. It is empty for
-    `Figures.NONE`.
-
-    Parameters
-    ----------
-    drawings : iterable of Drawing
-        Figures of a report that are not drawn yet.
-    figures : Figures
-        File formats that the user requests, or `Figures.NONE` for a report without figures.
+    The result is empty for `Figures.NONE`.
     """
     if figures is Figures.NONE:
         return ()
@@ -87,31 +78,8 @@ def write_study(
 ) -> tuple[Drawing, ...]:
     """Write a report: CSV tables, `summary.json`, figures and the text from a template.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing folder that holds no report.
-    template : str
-        Template of the text, as a path below the package's folder. In addition to ``values`` it
-        receives ``tables`` (file names), ``drawings`` and the package's ``version``.
-    tables : mapping of str to DataFrame or mapping, optional
-        Tables to write as CSV, by file name. Each table is a DataFrame, or a mapping from the name
-        of a column to its values.
-    summary : mapping, optional
-        Content of `summary.json`; without it no such file is written.
-    drawings : iterable of Drawing, optional
-        The figures, in the order of the report. For `Figures.NONE` they are ignored.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
-    name : str, optional
-        File name of the text; by default `report.md`.
-    **values
-        Variables of the template.
-
-    Returns
-    -------
-    tuple of Drawing
-        The figures that were drawn.
+    `template` is a path below the package's folder, and ``values`` are its variables. The keys of
+    `tables` are file names. The result lists the figures that were drawn.
     """
     wanted, tables = wanted_drawings(drawings, figures), tables or {}
     with drawn_meanwhile(wanted, folder):
@@ -141,21 +109,8 @@ def write_page(
 ) -> None:
     """Write a report as one self-contained HTML file, `report.html`, from its text and figures.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the report, which holds the text and the figures.
-    name : str
-        File name of the report's Markdown text.
-    drawn : iterable of Drawing
-        The figures of the report.
-    is_good : bool
-        Whether the box with the report's main result has the colour of a success.
-    views : mapping of str to str
-        HTML elements to insert above figures, such as the interactive player of the flights. The
-        key is the name of the figure.
-    data : str
-        JSON data of the flights for the interactive player; empty for a page without player.
+    `name` is the file of the report's Markdown text. The other arguments are those of
+    `render_html`.
     """
     from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
 
@@ -189,15 +144,8 @@ def write_text(file: Path, template: str, **values: object) -> None:
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
     """Context manager: draw and save figures on other cores while the ``with`` block runs.
 
-    At the end of the block, this process draws the figures that are left. If the block raises an
-    error, some figures may be missing.
-
-    Parameters
-    ----------
-    drawings : iterable of Drawing
-        Figures to draw.
-    folder : Path
-        Folder of the report; the figures go to its subfolder `FIGURE_FOLDER`.
+    At the end of the block, this process draws the figures that are left. The figures go to the
+    subfolder `FIGURE_FOLDER` of `folder`.
     """
     wanted = tuple(drawings)
     if not wanted:
@@ -213,6 +161,7 @@ def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]
         save_figure(drawing.draw, dict(zip(drawing.formats, paths, strict=True)))
 
     tasks = [partial(save, drawing) for drawing in wanted]
+    # If the block raises an error, some figures may be missing.
     with side_by_side(tasks, use_blas=False) as finish:
         yield
         finish()

@@ -32,15 +32,8 @@ _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbe
 def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw two bar charts of flights: the total energies, and the energies above hovering.
 
-    If the durations differ, energies above hovering are not comparable. The right panel then shows
-    the energy of each flight less the energy of the first flight.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to compare; the first is the plan.
-    hover_energy_J : float
-        Energy of hovering for the duration of the first flight.
+    The first flight is the plan. If the durations differ, the right panel shows the energy of each
+    flight less that of the plan. `hover_energy_J` is for the plan's duration.
     """
     height = _EDGES + _ROW * len(flights)
     figure = Figure(figsize=(FULL_WIDTH, height))
@@ -74,14 +67,8 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     """Draw the energy above hovering of each flight as a bar, in one panel for each scenario.
 
-    If the flights of any scenario differ in duration, the bars in all panels show total energies
-    instead. The bars of flights that missed the goal are pale.
-
-    Parameters
-    ----------
-    comparison : DataFrame
-        One row for each flight of each scenario. The enumeration `ComparisonColumn` names the
-        columns.
+    If the flights of a scenario differ in duration, all bars show total energies instead. Bars of
+    flights that missed the goal are pale.
     """
     # Energies above hovering are comparable only between flights of equal duration.
     is_above = has_equal_durations(comparison)

@@ -45,22 +45,8 @@ def write_ensemble(
 ) -> dict[str, Any]:
     """Write the report of an ensemble of flights: tables, `summary.json`, figures and text.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    flown : Ensemble
-        Flights of one mission, each in its own random wind.
-    savings : sequence of Saving, optional
-        Energy savings compared with rival flights in the same winds, such as flights of an
-        autopilot. Each item also holds the rival flights.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
-
-    Returns
-    -------
-    dict
-        The content of `summary.json`.
+    `savings` hold rival flights in the same winds, such as those of an autopilot. `folder` must
+    exist and be empty. The result is the content of `summary.json`.
     """
     summary = ensemble_summary(flown, savings)
     write_study(
@@ -83,16 +69,8 @@ def ensemble_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of an ensemble of flights: paths, energies, and quantities over time.
 
-    Parameters
-    ----------
-    flown : Ensemble
-        Flights of one mission, each in its own random wind.
-    savings : sequence of Saving
-        Energy savings compared with rival flights in the same winds. The figure of the energies
-        also shows the rival flights.
-    margin : float, optional
-        Safety margin [m] that the plan keeps from zones in addition to the scenario's clearance. A
-        positive margin is drawn on both sides of the planned path.
+    `savings` hold the rival flights whose energies are also shown. `margin` is that of
+    `draw_many_paths` [m].
     """
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."
@@ -110,16 +88,8 @@ def ensemble_drawings(
 def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
     """Draw the paths of the first flights of an ensemble, and their common reference path.
 
-    At most `SHOWN_PATHS` flights are drawn. One panel shows the paths from above, the other panel
-    from the front.
-
-    Parameters
-    ----------
-    flown : Ensemble
-        Flights of one mission, each in its own random wind.
-    margin : float, optional
-        Safety margin [m] that the plan keeps from zones in addition to the scenario's clearance. A
-        positive margin is drawn on both sides of the reference path.
+    At most `SHOWN_PATHS` flights are drawn, from above and from the front. Lines on both sides of
+    the reference path mark its safety margin from zones, `margin` [m].
     """
     figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
     tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]
@@ -136,6 +106,7 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
         planned = flown.planned
         to_follow = planned[:, across], planned[:, up]
         axes.plot(*to_follow, color=INK, linewidth=0.8, label="path to follow")
+        # The plan keeps the margin in addition to the scenario's clearance.
         for side, label in ((margin, "margin"), (-margin, None)) if margin else ():
             beside = _beside(planned[:, [across, up]], side)
             axes.plot(*beside.T, color=INK, linewidth=0.5, linestyle=":", label=label)
@@ -157,13 +128,7 @@ def _beside(path: FloatArray, off: float) -> FloatArray:
 def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
     """Draw histograms of the energies of an ensemble's flights, each with its median.
 
-    Parameters
-    ----------
-    flown : Ensemble
-        Flights of one mission, each in its own random wind.
-    savings : sequence of Saving
-        Energy savings compared with rival flights in the same winds. The energies of the rival
-        flights (`Saving.rival`) of each item are drawn as a further histogram.
+    Each item of `savings` adds a histogram of its rival flights, which flew in the same winds.
     """
     kinds = [flown, *(saving.rival for saving in savings)]
     figure, ((axes,),) = panel_grid(
@@ -192,13 +157,7 @@ _PANELS = (
 def draw_bands(flown: Ensemble) -> Figure:
     """Draw four quantities of an ensemble of flights over time: the median, and a 90 % band.
 
-    The quantities are distance from the reference path, speed, tilt and energy. The band lies
-    between the 5 % and 95 % quantiles of the flights.
-
-    Parameters
-    ----------
-    flown : Ensemble
-        Flights of one mission, each in its own random wind.
+    The band lies between the 5 % and 95 % quantiles of the flights.
     """
     figure, panels = panel_grid(2, 2, panel_height=1.9)
     t, color = flown.flown.t, SERIES_STYLES[0].color

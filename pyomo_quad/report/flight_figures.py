@@ -84,14 +84,8 @@ _WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 def draw_adaptation(study: pd.DataFrame) -> Figure:
     """Draw the effect of the controller's adaptation to the wind, in three panels.
 
-    Left: distance of the vehicle from the reference path, with and without adaptation. Middle and
-    right: acceleration by the wind along x and y, the true value and the controller's estimate.
-
-    Parameters
-    ----------
-    study : DataFrame
-        Table over time of two simulated flights, with and without adaptation. The function
-        `adaptation_study` simulates these flights and returns the table.
+    The panels show the distance from the reference path, and the acceleration by the wind along x
+    and y with its estimate. The function `adaptation_study` returns the table `study`.
     """
     figure, (panels,) = panel_grid(1, 3, panel_height=1.8, legend_entries=2)
     error, *disturbances = panels
@@ -123,13 +117,8 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
-    Two more panels show the relaxation voltage (slow part of the voltage drop) and the temperature.
-    Each is left out if the table of any flight lacks its column.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
+    If all tables have the columns, further panels show the relaxation voltage (slow part of the
+    voltage drop) and the temperature.
     """
     further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
     figure, panels = panel_grid(
@@ -199,16 +188,8 @@ COSTATES = (
 def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
     """Draw the costates (adjoint variables) of a plan, and its Hamiltonian, in six panels.
 
-    Five panels show the costates of position, velocity, attitude, body rates and rotor speeds. The
-    sixth panel shows the Hamiltonian.
-
-    Parameters
-    ----------
-    costates : DataFrame
-        Costate of each state, and Hamiltonian of the plan, indexed by time in s. The tuple
-        `COSTATES` lists the required columns.
-    duration : float
-        Duration of the flight in s, where the time axes end.
+    `costates` is indexed by time [s] and has the columns `COSTATES`. The time axes end at
+    `duration` [s].
     """
     figure, panels = panel_grid(3, 2, panel_height=1.4, legend_entries=0)
     time = costates.index.to_numpy()
@@ -241,15 +222,8 @@ _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw power, energy, and energy above hovering of flights over time, in three panels.
 
-    Energy above hovering at a time t is the energy that a flight has used until t, less the energy
-    of hovering until t. Short peaks of power may be cut off (see `cut_flights`).
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    hover_energy_J : float
-        Energy of hovering for the duration of the first flight.
+    `hover_energy_J` is the energy of hovering for the duration of the first flight. Short peaks of
+    power may be cut off (see `cut_flights`).
     """
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
     hover_power, end = hover_energy_J / flights[0].duration_s, last_end(flights)
@@ -267,17 +241,8 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
     """Draw the energy above hovering of flights over time in a panel.
 
-    Energy above hovering at a time t is the energy that a flight has used until t, less the energy
-    of hovering until t.
-
-    Parameters
-    ----------
-    axes : Axes
-        Panel to draw into.
-    flights : sequence of StyledFlight
-        Flights to draw.
-    hover_power_W : float
-        Power of hovering.
+    At a time t, this is the energy that a flight has used until t, less the energy of hovering
+    until t.
     """
     axes.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
@@ -290,12 +255,8 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose short peaks of power are cut off in a panel of power over time.
 
-    Peaks are cut off if they would make the axis more than twice as long.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights drawn in one panel; the first is the plan, whose power is always shown completely.
+    Peaks are cut off if they would more than double the length of the axis. The power of the first
+    flight is never cut off.
     """
     window = _power_window(flights)
     if window is None:
@@ -314,16 +275,8 @@ def coinciding_flights(
 ) -> tuple[StyledFlight, ...]:
     """Return the flights whose curve of energy above hovering coincides with the plan's curve.
 
-    Energy above hovering at a time t is the energy that a flight has used until t, less the energy
-    of hovering until t. Curves of equal duration coincide if they differ by at most 1 % of their
-    range.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights drawn in one panel; the first is the plan.
-    hover_power_W : float
-        Power of hovering.
+    Curves of equal duration coincide if they differ by at most 1 % of their range. The first flight
+    is the plan.
     """
     first, *others = flights
     time = TIME.of(first.frame)
@@ -340,9 +293,10 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return least and greatest power [W] of a panel's vertical axis without short peaks.
+    """Return the ends [W] of a vertical axis that leaves out short peaks of power.
 
-    The range includes the plan, the first of `flights`. The result is None if no peak is cut off.
+    The axis shows the whole power of the plan, the first of `flights`. The result is None if no
+    peak is cut off.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -373,17 +327,8 @@ def draw_mesh(
 ) -> Figure:
     """Draw the refinement of a plan's mesh: the error estimate of each mesh, and the last mesh.
 
-    Parameters
-    ----------
-    history : sequence of MeshRecord
-        Size and error estimate of each mesh, from the first to the last. Meshes without a finite
-        estimate are not drawn.
-    mesh : Mesh
-        The last mesh: element boundaries and polynomial degrees.
-    tolerance : float
-        Relative error that the refinement had to reach.
-    duration : float
-        Duration of the flight in s.
+    `history` lists the meshes from the first to the last. Meshes without a finite estimate are not
+    drawn. `tolerance` is the relative error to be reached.
     """
     height = 2.6
     figure, (errors, elements) = full_width(
@@ -434,14 +379,8 @@ def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:
 def draw_power(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw the power of flights over time, and the power of hovering as a dotted line.
 
-    Short peaks may be cut off (see `cut_flights`).
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    hover_energy_J : float
-        Energy of hovering for the duration of the first flight.
+    `hover_energy_J` is the energy of hovering for the duration of the first flight. Short peaks may
+    be cut off (see `cut_flights`).
     """
     figure, ((axes,),) = panel_grid(1, 1, panel_height=1.9, legend_entries=1 + len(flights))
     axes.axhline(hover_energy_J / flights[0].duration_s, label="hovering", **_HOVER_LINE)
@@ -460,17 +399,10 @@ _LEG_ROW = 0.2  # inches
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
     """Draw the speed of flights over path length, and the plan's energy on each leg of the mission.
 
-    A leg is the flight from one waypoint to the next; start and goal count as waypoints. A hover at
-    a waypoint has its own bar of energy.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    mission : Scenario
-        Scenario with speed limit, and waypoints with their times of passing (see
-        `Scenario.lasting`).
+    A leg leads from one waypoint, start or goal to the next. The waypoints of `mission` must have
+    times of passing (see `Scenario.lasting`).
     """
+    # A hover at a waypoint is a leg of its own.
     optimum, legs = flights[0], leg_table(mission, flights[0].frame)
     below = 0.45 + 0.2 * ceil(len(flights) / LEGEND_COLUMNS)
     height = max(_WAY_HEIGHT, _LEG_ROW * len(legs) + 0.3 + below)
@@ -509,14 +441,8 @@ def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
 def draw_front(front: pd.DataFrame) -> Figure:
     """Draw the energy-time front of a mission: least energy against duration.
 
-    Each point is an optimal flight for one price of time: the energy that may be spent to shorten
-    the flight by one second [J/s = W]. A star marks the plan.
-
-    Parameters
-    ----------
-    front : DataFrame
-        One row for each flight: price of time, duration, energy, and whether the flight is the
-        plan. The enumeration `FrontColumn` names these columns.
+    Each point is an optimal flight for one price of time [J/s = W], the energy that may be spent to
+    shorten the flight by one second. A star marks the plan.
     """
     figure, panels = panel_grid(1, 1, panel_height=2.4, legend_entries=2)
     (axes,) = panels.flat
@@ -603,12 +529,7 @@ _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 def draw_wind(planned: StyledFlight, flown: StyledFlight | None = None) -> Figure:
     """Draw the horizontal wind over time: the wind that the plan was made for, and the true wind.
 
-    Parameters
-    ----------
-    planned : StyledFlight
-        The plan. Its table has the wind that the plan was made for.
-    flown : StyledFlight, optional
-        A flight in the true wind, if the plan was made for a wind forecast.
+    If the plan was made for a forecast, `flown` is a flight in the true wind.
     """
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", planned, _FORECAST)]

@@ -28,24 +28,8 @@ _unfinished: set[Path] = set()
 def output_folder(path: str | Path) -> Iterator[Path]:
     """Context manager: write an output folder that appears complete or not at all.
 
-    The ``with`` block writes to a temporary folder, which replaces the final folder at the end. If
-    the block raises, the final folder remains unchanged.
-
-    Parameters
-    ----------
-    path : str or Path
-        Final folder.
-
-    Yields
-    ------
-    Path
-        The empty temporary folder.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, is being written by another run, or holds files that this
-        package did not write, or if the block raises an OSError, such as for a full disk.
+    The block receives an empty temporary folder, which replaces the final folder at its end. Raises
+    OutputError if that is impossible, or if the block raises an OSError.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -76,27 +60,8 @@ _MARKED_WITHIN_BYTES = 65_536
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     """Context manager: write an output file that appears complete or not at all.
 
-    The ``with`` block writes to a temporary file, which replaces the final file at the end.
-
-    Parameters
-    ----------
-    path : str or Path
-        Final file. If it is a character device or FIFO, such as ``/dev/stdout``, the content is
-        copied to it.
-    mark : str, optional
-        Text that the caller must write into the first or last 64 KiB of the new file. An existing
-        regular file is replaced only if it holds the text there, or is empty.
-
-    Yields
-    ------
-    Path
-        The temporary file, which does not exist yet.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, if a non-empty file exists that lacks the text `mark`, or if
-        the block raises an OSError.
+    The block writes a temporary file that contains the text `mark`. An existing file is replaced
+    only if it contains `mark` or is empty. Otherwise, and for an OSError, OutputError is raised.
     """
     final = final_folder(path)
     try:
@@ -156,17 +121,8 @@ def _is_marked(file: Path, mark: str) -> bool:
 def refuse_output_folder(path: str | Path) -> None:
     """Raise an error if a folder cannot be used for an output; write nothing.
 
-    A command calls this function before a long solve, so that the error comes early.
-
-    Parameters
-    ----------
-    path : str or Path
-        Final folder of the output.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, or holds files that this package did not write.
+    Raises OutputError if the folder cannot be written, or holds files that this package did not
+    write.
     """
     final = final_folder(path)
     try:
@@ -267,8 +223,8 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Rename a complete new output folder from its hidden name to its final path.
 
-    An old folder at the final path is first renamed to `aside`. Raises OutputError if the old
-    folder holds files that no run wrote.
+    An old folder at the final path is first moved out of the way, to `aside`. Raises OutputError if
+    the old folder holds files that no run wrote.
     """
     ready = _hidden(final, "ready")
     # There is nothing to finish if no run has made a complete folder .NAME.ready for the folder

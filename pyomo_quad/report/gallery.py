@@ -87,26 +87,8 @@ FRONT_FIGURE = "front"
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     """List the figures of a plan, and of flights that are drawn together with it.
 
-    The list leaves out the figures
-
-    - of columns that the plan's table lacks or whose values are not finite;
-    - of the wind, in calm air;
-    - of the costates, if the plan's controls were not simulated;
-    - of costates and mesh, if the plan was made without an optimisation.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan's. If the scenario has a wind forecast, the second
-        flight must be a flight in the true wind.
-
-    Returns
-    -------
-    tuple of Drawing
-        Figures of paths, states, controls, energy, motors, battery, wind, costates and mesh, and
-        for some missions of height above ground and speed along the path.
+    The first of `flights` is the plan. If the scenario has a forecast, the second must be a flight
+    in the true wind. Figures without finite data are left out.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -119,6 +101,7 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     return (
         *flight_drawings(flights, plan.hover_energy_J, blowing, mission),
         *(one for one in way if set(one.needs) <= set(flights[0].frame)),
+        # Costates need a simulation of the controls; costates and mesh need an optimisation.
         *(_costates(plan) if plan.verification is not None else ()),
         *((Drawing("mesh", "Mesh", caption, mesh),) if plan.is_optimised else ()),
     )
@@ -132,20 +115,8 @@ def flight_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures that need only the tables of flights: paths, motion, energy, wind.
 
-    A figure is left out if one of its columns is missing or not finite in the plan's table. In calm
-    air, the figure of the wind is left out.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    hover_energy_J : float
-        Energy of hovering for the duration of the first flight.
-    blowing : StyledFlight, optional
-        A flight in the true wind, if the plan was made for a wind forecast.
-    mission : Scenario, optional
-        Scenario whose zones are drawn, and its waypoints with their times of passing (see
-        `Scenario.lasting`).
+    Figures without finite data are left out. `blowing` is a flight in the true wind. The waypoints
+    of `mission` must have times of passing (see `Scenario.lasting`).
     """
     frame = flights[0].frame
     finite = {name for name in frame if np.isfinite(frame[name]).all()}
@@ -179,20 +150,8 @@ def comparison_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The map and the power show the plan and its rival (see `rival_of`). The energy bars show the
-    plan and the flights that reached the goal and kept all limits. The result is empty if the
-    plan's table has no positions. The caller must check that the columns `Drawing.needs` exist.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights of the comparison; the first is the plan.
-    hover_energy_J : float
-        Energy of hovering for the duration of the plan.
-    comparison : DataFrame
-        One row for each flight. The enumeration `ComparisonColumn` names the columns.
-    mission : Scenario
-        Scenario whose zones and waypoints the map shows.
+    The first flight is the plan. The result is empty if the plan's table has no positions. The
+    caller leaves out figures whose columns `Drawing.needs` are missing.
     """
     # The table of a user's own Pyomo model may have no positions.
     if not set(_columns(POSITION)) <= set(flights[0].frame):
@@ -240,11 +199,7 @@ def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFl
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
     """Return the figure of the controller's adaptation to the wind.
 
-    Parameters
-    ----------
-    study : DataFrame
-        Table over time of two simulated flights, with and without adaptation. The function
-        `adaptation_study` simulates these flights and returns the table.
+    The function `adaptation_study` returns the table `study`.
     """
     caption = (
         "The adaptive controller does not know the wind. Left: distance of the vehicle from the "
@@ -257,11 +212,7 @@ def adaptation_drawing(study: pd.DataFrame) -> Drawing:
 def front_drawing(front: pd.DataFrame) -> Drawing:
     """Return the figure of the energy-time front: least energy against duration.
 
-    Parameters
-    ----------
-    front : DataFrame
-        One row for each price of time: the energy that may be spent to shorten the flight by one
-        second [J/s = W]. The enumeration `FrontColumn` names the columns.
+    `front` has one row for each price of time [W]. The enumeration `FrontColumn` names the columns.
     """
     caption = (
         "Flights of least energy for several prices of a second; star: the plan. No flight on the "
@@ -320,20 +271,8 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
 def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[str, str], str]:
     """Return the interactive player of a run's flights for the HTML report.
 
-    Parameters
-    ----------
-    result : RunResult
-        The run.
-    drawn : sequence of Drawing
-        Figures of the report.
-
-    Returns
-    -------
-    views : dict
-        HTML of the player, by name of the figure of the paths. The page shows the player above
-        this figure. Empty without this figure.
-    data : str
-        The flights as JSON, for the player. Empty without the figure of the paths.
+    The results are the player's HTML by name of the figure below it, and the flights as JSON. Both
+    are empty if `drawn` lacks the figure of the paths.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
@@ -429,13 +368,7 @@ def _heights(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
 def left_out(flights: Sequence[StyledFlight]) -> str:
     """Return the caption's sentences on paths that are not drawn or extend beyond the figure.
 
-    A path is not drawn if it looks the same as the plan's path. The text is empty if all paths are
-    drawn completely.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights of the figure; the first is the plan.
+    A path is not drawn if it looks the same as the plan's path. The text may be empty.
     """
     distinct = distinct_paths(flights)
     near = [flight for flight in flights if flight not in distinct]

@@ -47,14 +47,7 @@ class Label:
 def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
     """Print labels into a panel, each beside its point, so that they hide as little as possible.
 
-    The caller must not change the limits of the axes afterwards.
-
-    Parameters
-    ----------
-    axes : Axes
-        Panel, after all curves are drawn.
-    labels : sequence of Label
-        Texts with their points.
+    All curves must be drawn already. The caller must not change the limits of the axes afterwards.
     """
     axes.apply_aspect()
     per_inch = _POINTS_PER_INCH / axes.figure.dpi

@@ -27,24 +27,8 @@ def render_html(
 ) -> str:
     """Convert a report from Markdown into an HTML page without external resources.
 
-    Parameters
-    ----------
-    markdown : str
-        Text of the report. The function `render_markdown` makes it from a template.
-    is_good : bool
-        Whether the box with the report's main result has the colour of a success.
-    pictures : mapping of str to bytes
-        SVG or PNG data of each figure of the report, by name.
-    views : mapping of str to str
-        HTML elements to insert above figures, such as the interactive player of the flights. The
-        key is the name of the figure. A printed page does not show the elements.
-    data : str
-        JSON data of the flights for the interactive player; empty for a page without player.
-
-    Returns
-    -------
-    str
-        The HTML text.
+    If `is_good`, the box with the main result is green. `pictures` (SVG or PNG data) and `views`
+    (HTML above figures) are given by figure name. `data` is the player's JSON, or empty.
     """
     parser = MarkdownIt("commonmark", {"html": False}, renderer_cls=_PageRenderer).enable("table")
     tokens = parser.parse(markdown)
@@ -74,7 +58,8 @@ def _label(inline: Token) -> str:
 def _role(tokens: Sequence[Token], at: int) -> str:
     """Return the role in the HTML report of the paragraph whose opening token is ``tokens[at]``.
 
-    It is "picture", "figcaption" after a picture, "caption" before a table, or else "p".
+    A paragraph with a figure is a "picture", the one after it a "figcaption". A paragraph before a
+    table is a "caption". Any other paragraph is a "p".
     """
     if [child.type for child in tokens[at + 1].children or ()] == ["image"]:
         return "picture"

@@ -92,13 +92,8 @@ def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) -> Figure:
     """Draw flight paths in space, and seen from above, from the front and from the side.
 
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    mission : Scenario, optional
-        Scenario whose zones are drawn, and its waypoints with their times of passing (see
-        `Scenario.lasting`).
+    The first flight is the plan. The waypoints of `mission` must have times of passing (see
+    `Scenario.lasting`).
     """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights, mission)
@@ -117,15 +112,8 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
 def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
     """Draw a map of flight paths from above, with zones, waypoints and wind, true to scale.
 
-    Arrows show the wind field at its lowest height and first time. If the scenario has no wind
-    field, one arrow shows the mean wind along the first flight.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    mission : Scenario
-        Scenario with the zones, waypoints and wind.
+    Arrows show the wind field at its lowest height and first time. Without a wind field, one arrow
+    shows the mean wind along the first flight, the plan.
     """
     figure = Figure(figsize=(FULL_WIDTH, _MAP_HEIGHT))
     left, below, wide, high = 0.075, 0.21, 0.915, 0.76
@@ -219,14 +207,7 @@ def draw_space(
 ) -> None:
     """Draw flight paths and keep-out zones in space, on one scale along all axes.
 
-    Parameters
-    ----------
-    axes : Axes3D
-        Panel to draw into.
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    mission : Scenario, optional
-        Scenario whose keep-out zones are drawn.
+    The first flight is the plan.
     """
     limits = _limits(flights, mission)
     floor = limits[2, 0]
@@ -268,9 +249,8 @@ def draw_space(
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose paths leave the figure because they are too far from the plan.
 
-    The first of `flights` is the plan. A path leaves the figure if its greatest distance from the
-    plan at equal times exceeds max(d, 0.2 m). Here d is the diagonal of the box around the plan's
-    path.
+    Let d be the diagonal of the box around the plan's path. A path leaves if its distance from the
+    plan at equal times exceeds max(d, 0.2 m).
     """
     return _further(flights, ASTRAY)
 
@@ -329,8 +309,8 @@ def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     """Extend the limits of a figure of paths to show keep-out zones, floor and ceiling.
 
-    Limits are least and greatest x, y and z [m], shape (3, 2). They move by at most a quarter of
-    the longest axis.
+    Limits are least and greatest x, y and z [m], shape (3, 2). Each moves by at most a quarter of
+    the longest side of the given `limits`.
     """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     # The extension is limited, so that distant zones do not make the paths small.
@@ -359,22 +339,8 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
 def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> list[Label]:
     """Draw terrain, zones, height limits and waypoints of a mission as seen along one axis.
 
-    The fence is drawn only in the view from above, floor and ceiling only in side views without
-    terrain.
-
-    Parameters
-    ----------
-    axes : Axes
-        Panel to draw into.
-    mission : Scenario
-        Scenario with airspace and waypoints.
-    directions : tuple of int
-        Coordinates of the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
-
-    Returns
-    -------
-    list of Label
-        Labels for the caller to draw with `write_labels`: waypoints and, from above, zones.
+    `directions` are the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
+    The caller must draw the returned labels with `write_labels`.
     """
     airspace = mission.airspace
     draw_relief(axes, airspace.ground, directions)
@@ -489,20 +455,7 @@ _SERIES = (
 def view_data(flights: Sequence[StyledFlight], airspace: Airspace, arm_m: float) -> dict[str, Any]:
     """Return the data of the HTML report's interactive player of flights, ready for JSON.
 
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights of the run; the first is the plan.
-    airspace : Airspace
-        Keep-out zones to show.
-    arm_m : float
-        Distance from the vehicle's centre to a rotor [m].
-
-    Returns
-    -------
-    dict
-        Name, colour and columns over time of each flight; groups of columns that the player plots
-        together; keep-out zones; positions of start and goal; and `arm_m`.
+    The first flight is the plan. `arm_m` is the distance from the vehicle's centre to a rotor [m].
     """
     framed = [flight for flight in flights if flight not in leaving_paths(flights)]
     shown = [flight for flight in distinct_paths(flights) if flight in framed]

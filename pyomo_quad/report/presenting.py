@@ -39,7 +39,7 @@ class DrawnFigure:
     Attributes
     ----------
     name : str
-        Name of the figure, or of the column of the trajectory table that the figure shows.
+        Name by which the figure was requested: name of a figure or of a table column.
     caption : str
         Caption that a report prints under the figure.
     figure : matplotlib Figure
@@ -51,19 +51,10 @@ class DrawnFigure:
     figure: "Figure"
 
     def save(self, path: str | Path) -> Path:
-        """Write the figure to a file and return its path.
+        """Write the figure to a file that ends in .png, .svg or .pdf, and return its path.
 
-        Parameters
-        ----------
-        path : str or Path
-            Name of the file, which ends in .png, .svg or .pdf.
-
-        Raises
-        ------
-        ScenarioError
-            If the name has another ending.
-        OutputError
-            If the file cannot be written, or exists and is not a figure that this package wrote.
+        Raises ScenarioError for another ending. Raises OutputError if the file cannot be written,
+        or is not a figure of this package.
         """
         file = Path(path)
         refuse_other_endings(file, "path")
@@ -82,19 +73,9 @@ class DrawnFigure:
 
 
 def refuse_other_endings(file: Path, name: str) -> None:
-    """Raise an error if the file name of a figure does not end in .png, .svg or .pdf.
+    """Raise a ScenarioError if the file name of a figure does not end in .png, .svg or .pdf.
 
-    Parameters
-    ----------
-    file : Path
-        Name of a figure's file.
-    name : str
-        Argument or option that gave the file name, for the message.
-
-    Raises
-    ------
-    ScenarioError
-        If the file name has another ending.
+    `name` is the argument or option that gave the file name, for the message.
     """
     if file.suffix not in ENDINGS:
         raise ScenarioError(f"{name} {file}: must end in {', '.join(ENDINGS)}.")
@@ -105,24 +86,8 @@ def chosen_drawing(
 ) -> Drawing:
     """Return the figure that a user names: an offered figure, or a column over time.
 
-    If no offered figure has the name `what`, the figure shows the column `what` of the flight's
-    table.
-
-    Parameters
-    ----------
-    offered : iterable of Drawing
-        Figures to choose from.
-    flight : StyledFlight
-        Flight with the table of columns.
-    what : str
-        Name of a figure or of a column.
-    name : str
-        Argument or option that gave `what`, for the error message.
-
-    Raises
-    ------
-    ScenarioError
-        If no figure and no column has this name; the message lists all names.
+    `name` is the argument or option that gave `what`, for messages. Raises ScenarioError if neither
+    a figure nor a column of the flight's table has the name `what`.
     """
     drawings = {drawing.name: drawing for drawing in offered}
     if what in drawings:
@@ -138,17 +103,7 @@ def chosen_drawing(
 def picture_of_plan(plan: "Plan", what: str) -> DrawnFigure:
     """Draw one figure of a plan, or one column of its trajectory table against time.
 
-    Parameters
-    ----------
-    plan : Plan
-        Planned flight.
-    what : str
-        Name of the figure or of the column.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no figure and no column of this name.
+    Raises ScenarioError if no figure and no column has the name `what`.
     """
     return _picture(lambda: drawings_of_solve(plan), plan, what)
 
@@ -156,17 +111,7 @@ def picture_of_plan(plan: "Plan", what: str) -> DrawnFigure:
 def picture_of_run(result: "RunResult", what: str) -> DrawnFigure:
     """Draw one figure of a run's report, or one column of its plan's table against time.
 
-    Parameters
-    ----------
-    result : RunResult
-        A plan with the baseline flights it is compared with.
-    what : str
-        Name of the figure or of the column.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no figure and no column of this name.
+    Raises ScenarioError if no figure and no column has the name `what`.
     """
     return _picture(lambda: drawings_of_run(result), result.plan, what)
 
@@ -181,22 +126,8 @@ def _picture(drawings: Callable[[], Iterable[Drawing]], plan: "Plan", what: str)
 def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
     """Write the report of a plan into a folder, and return the report's Markdown file.
 
-    Parameters
-    ----------
-    plan : Plan
-        Planned flight.
-    folder : str or Path
-        Folder of the report. It appears when the report is complete, and replaces the folder of an
-        earlier report.
-    figures : str
-        Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
-
-    Raises
-    ------
-    ScenarioError
-        If `figures` has another value.
-    OutputError
-        If the folder cannot be written, or holds files that this package did not write.
+    Raises ScenarioError if `figures` is no value of `Figures`. Raises OutputError if the folder
+    cannot be written, or holds files that this package did not write.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:
@@ -208,22 +139,8 @@ def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
 def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
     """Write the report of a run into a folder, and return the report's HTML page.
 
-    Parameters
-    ----------
-    result : RunResult
-        A plan with the baseline flights it is compared with.
-    folder : str or Path
-        Folder of the report. It appears when the report is complete, and replaces the folder of an
-        earlier report.
-    figures : str
-        Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
-
-    Raises
-    ------
-    ScenarioError
-        If `figures` has another value.
-    OutputError
-        If the folder cannot be written, or holds files that this package did not write.
+    Raises ScenarioError if `figures` is no value of `Figures`. Raises OutputError if the folder
+    cannot be written, or holds files that this package did not write.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:

@@ -32,14 +32,7 @@ _LIMITS = (("floor", 1), ("ceiling", -1))
 def draw_relief(axes: Axes, ground: TerrainGrid | None, directions: tuple[int, int]) -> None:
     """Draw terrain into a figure of paths: contour lines from above, hills from a side.
 
-    Parameters
-    ----------
-    axes : Axes
-        Panel to draw into.
-    ground : TerrainGrid or None
-        Elevations on a grid; None draws nothing.
-    directions : tuple of int
-        Coordinates of the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
+    `directions` are the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
     """
     if ground is None:
         return
@@ -57,15 +50,8 @@ def draw_relief(axes: Axes, ground: TerrainGrid | None, directions: tuple[int, i
 def draw_heights(flights: Sequence[StyledFlight], airspace: Airspace) -> Figure:
     """Draw the height of flights over path length, with the ground below the first flight.
 
-    The ground is drawn as the smooth surface from which the floor is measured. Dashed lines show
-    the least and the greatest permitted height above the ground.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights to draw; the first is the plan.
-    airspace : Airspace
-        Terrain and limits of height.
+    The ground is the smooth surface of `Airspace.height_above_ground`. Dashed lines show the least
+    and the greatest permitted height.
     """
     figure, ((axes,),) = panel_grid(
         1, 1, panel_height=2.1, legend_entries=1 + len(flights), share_time=False

@@ -88,22 +88,8 @@ def write_solve_report(
 ) -> None:
     """Write the report of a plan: trajectory table, figures, text, and the plan file.
 
-    The text states the plan's status (see `PlanStatus`). If the status is neither `VERIFIED` nor
-    `USABLE`, the title begins with it. The caller writes `summary.json` (see
-    `report.tables.plan_summary`).
-
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    plan : Plan
-        The plan, which may be the best iterate of a failed solve.
-    warnings : sequence of str, optional
-        Cautions to print beside the results.
-    rate_hz : float, optional
-        Number of table rows per second. By default the table has one row for each mesh node.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
+    `folder` must exist and be empty. `rate_hz` is the number of table rows per second; by default
+    there is one row for each mesh node. The caller writes `summary.json`.
     """
     write_study(
         folder,
@@ -121,18 +107,8 @@ def write_solve_report(
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
     """Write the report of a run: tables, figures, `report.md` and `report.html`.
 
-    If the run has baseline flights, `comparison.md` is written, too. The caller writes
-    `summary.json` (see `run_summary`).
-
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    result : RunResult
-        A plan with the baseline flights it is compared with.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for no figures. Without figures the HTML page
-        has no interactive player of flights.
+    `folder` must exist and be empty. The caller writes `summary.json` (see `run_summary`). Without
+    figures, the page has no player of flights.
     """
     replanned = replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
     optional = {
@@ -187,21 +163,8 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Return the results of an earlier run of a scenario, read from the run's report folder.
 
-    A run is ignored if its plan was not verified, if Python, the package or a dependency had
-    another version, or if the scenario uses a user's own model.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder that may hold a report.
-    scenario : Scenario
-        Scenario that the run must have solved.
-
-    Returns
-    -------
-    RunRecord or None
-        Results of the earlier run. None if the folder holds no readable run of the scenario that
-        may be used.
+    The result is None if the folder holds no verified run of this scenario with the same
+    `installed_versions`, or if the scenario uses a user's own model.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -244,20 +207,8 @@ def write_compare_report(
 ) -> None:
     """Write the comparison of the flights of several scenarios: table, figure, text and page.
 
-    If the comparison has no rows, only the table is written.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    comparison : DataFrame
-        One row for each flight of each scenario. The columns are the members of the enumeration
-        `ComparisonColumn`: scenario, duration, energy, saving and other results of the flight.
-    is_good : bool
-        Whether all plans were verified: simulation confirmed each plan to the requested accuracy.
-        If so, the box with the page's main result is green.
-    figures : Figures, optional
-        File formats of the figures, or `Figures.NONE` for a report without figures.
+    `folder` must exist and be empty. `comparison` has the columns of `ComparisonColumn`. `is_good`
+    states whether all plans were verified; the main result is then green.
     """
     if comparison.empty:
         write_table(comparison, folder / COMPARISON_NAME)
@@ -316,8 +267,8 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 class FreeClimb:
     """Climb whose potential energy exceeds the flight's energy above hovering: it is impossible.
 
-    If a power model does not depend on the airspeed, it omits the power of climbing. A plan can
-    then contain an impossible climb, and the report warns the user of it.
+    A plan can contain such a climb if its power model ignores the airspeed, and with it the power
+    of climbing.
 
     Attributes
     ----------
@@ -326,7 +277,7 @@ class FreeClimb:
     potential_J : float
         Potential energy that the climb adds.
     spent_J : float
-        Energy of the flight less the energy of hovering for the same time.
+        Energy of the flight less that of hovering for the same time.
     """
 
     height_m: float
@@ -338,7 +289,7 @@ class FreeClimb:
 def _free_climb(plan: "Plan") -> FreeClimb | None:
     """Return the mission's climb if it needs more energy than the plan spends above hovering.
 
-    The result is None for any other climb, and for plans that cannot be judged.
+    The result is None for any other climb, and if the plan does not allow the comparison.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -358,17 +309,7 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
 def climb_of(scenario: "Scenario") -> tuple[float, float]:
     """Return the height that a mission climbs [m] and the potential energy it adds [J].
 
-    Both are negative if the goal is below the start.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with start, goal and vehicle.
-
-    Returns
-    -------
-    tuple of float
-        Height of the goal above the start [m], and potential energy of vehicle and payload [J].
+    Both are negative if the goal is below the start. The payload is included.
     """
     mission = scenario.mission
     height = mission.goal.position[2] - mission.start.position[2]
@@ -396,8 +337,8 @@ def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
     """Return a plan's path length, battery use, and time and distance on a full charge.
 
-    The keys are `path_m`, `battery_percent`, `charge_minutes` and `charge_m`. Without data on the
-    charge, `battery_percent` is None and the last two are absent.
+    The keys are `path_m`, `battery_percent`, `charge_minutes` and `charge_m`. If the state of
+    charge is not known, `battery_percent` is None and the last two keys are missing.
     """
     # The controls were not simulated, for example because the solve failed.
     if plan.verification is None:

@@ -147,20 +147,10 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Return the line style of each flight, chosen by the name of the flight.
+    """Return the line style of each flight, by the name of the flight.
 
-    Flights that the program names itself, such as the plan, have a fixed style in all reports. All
-    other flights get the remaining styles in turn.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the flights.
-
-    Returns
-    -------
-    dict
-        Style of each flight, by name.
+    Flights that the program names itself, such as the plan, have a fixed style. All others get the
+    remaining styles in turn.
     """
     others = cycle(_OTHER_STYLES)
     return {
@@ -173,14 +163,8 @@ def save_figure(
 ) -> None:
     """Draw a figure once and write it in one or more file formats.
 
-    Parameters
-    ----------
-    draw : callable
-        Function that draws and returns the figure; called with the package's matplotlib settings.
-    files : mapping
-        File to write, by format: "png", "svg" or "pdf".
-    creator : str, optional
-        Name of the program that writes the files, stored in the metadata of each file.
+    The keys of `files` are "png", "svg" and "pdf". `creator` is stored in the metadata of each
+    file.
     """
     with mpl.rc_context(HOUSE_STYLE):
         figure = _drawn(draw)
@@ -195,7 +179,7 @@ def save_figure(
 def _drawn(draw: Callable[[], Figure]) -> Figure:
     """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
 
-    The text of an axis label that is empty now must not be set later.
+    The preparation moves empty axis labels, so they must stay empty.
     """
     figure = draw()
     for axes in figure.axes:
@@ -230,20 +214,8 @@ def full_width(
 ) -> tuple[Figure, Any]:
     """Make a figure as wide as the text of a report, with a grid of panels.
 
-    Parameters
-    ----------
-    height : float
-        Height of the figure in inches.
-    shape : pair of int, optional
-        Rows and columns of panels.
-    left, right, **margins
-        Edges and gaps of the panels as fractions of the figure: arguments of
-        `Figure.subplots_adjust`.
-
-    Returns
-    -------
-    tuple of (Figure, Axes or ndarray of Axes)
-        The figure, and its panels as `Figure.subplots` returns them.
+    `height` is in inches, and `shape` counts rows and columns. The other arguments are those of
+    `Figure.subplots_adjust`. The panels are returned as by `Figure.subplots`.
     """
     figure = Figure(figsize=(FULL_WIDTH, height))
     axes = figure.subplots(*shape)
@@ -270,23 +242,8 @@ def panel_grid(
 ) -> tuple[Figure, np.ndarray]:
     """Make a figure of equal panels, with space for titles above them and a legend below.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Number of panels in each direction.
-    panel_height : float
-        Height of a panel in inches.
-    gap, left : float, optional
-        Horizontal space between panels, and space for tick labels at the left, in inches.
-    legend_entries : int, optional
-        Number of curves in the legend; a legend with a single entry is left out.
-    share_time : bool, optional
-        Whether the panels have a common horizontal axis, labelled in the lowest row only.
-
-    Returns
-    -------
-    tuple of (Figure, ndarray of Axes, shape (rows, columns))
-        The figure and its panels.
+    `panel_height`, `gap` (between panels) and `left` are in inches. If `share_time`, the panels
+    have one horizontal axis. The panels are returned with shape (rows, columns).
     """
     right, top = 0.12, 0.28
     gap_y = 0.36 if share_time else 0.72
@@ -310,21 +267,7 @@ def panel_grid(
 def draw_over_time(
     axes: Axes, frame: pd.DataFrame, shown: Column, style: LineStyle, label: str
 ) -> None:
-    """Draw a column of a flight's table against time, with a legend entry.
-
-    Parameters
-    ----------
-    axes : Axes
-        Panel to draw into.
-    frame : DataFrame
-        The flight's table.
-    shown : Column
-        Column to draw.
-    style : LineStyle
-        Colour and dashes.
-    label : str
-        Text of the legend entry.
-    """
+    """Draw a column of a flight's table against time, with a legend entry."""
     axes.plot(TIME.of(frame), shown.of(frame), label=label, **style.line)
 
 
@@ -333,16 +276,8 @@ def draw_panels(
 ) -> None:
     """Draw several columns of the flights' tables against time, each column in a panel of its own.
 
-    The attribute `smallest_span` of a column is the least range of its panel's vertical axis.
-
-    Parameters
-    ----------
-    panels : iterable of Axes
-        Panels, one for each column.
-    shown : iterable of Column
-        Columns to draw, in the order of the panels.
-    flights : sequence of StyledFlight
-        Flights to draw.
+    There must be as many panels as columns. The vertical axis covers at least the column's
+    `smallest_span`.
     """
     for axes, column in zip(panels, shown, strict=True):
         for flight in flights:
@@ -354,20 +289,15 @@ def draw_panels(
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
     """Give panels a common vertical scale that covers at least a given range.
 
-    The given range keeps a constant curve flat: its numerical noise does not fill the panel.
-
-    Parameters
-    ----------
-    panels : iterable of Axes
-        Panels, after drawing.
-    smallest_span : float
-        Least difference between the upper and the lower end of the axis, in the unit of the axis.
+    All curves must be drawn already. `smallest_span` is in the unit of the axis.
     """
     panels = tuple(panels)
     ends = np.array([axes.dataLim.intervaly for axes in panels])
     low, high = ends.min(), ends.max()
     middle, half = (low + high) / 2, max(high - low, smallest_span) / 2
     for axes in panels:
+        # The smallest span keeps a constant curve flat: its numerical noise does not fill the
+        # panel.
         axes.set_ylim(middle - half * (1 + _MARGIN), middle + half * (1 + _MARGIN))
         axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
 
@@ -411,8 +341,7 @@ class StyledFlight:
     duration_s : float
         Duration of the flight.
     energy_J : float
-        Energy of the flight. It includes the estimated energy to the exact goal state, if the
-        flight arrived and the estimate is known (see `settled_energy`).
+        Energy of the flight, corrected to the exact goal state if possible (see `settled_energy`).
     style : LineStyle
         Colour, dashes and marker.
     """
@@ -462,15 +391,8 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
 def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
     """Make a flight for figures from its table alone, such as a table that was read from a file.
 
-    The energy is the last value of the energy column. All flights whose name the program does not
-    know get the same style.
-
-    Parameters
-    ----------
-    name : str
-        Name of the flight in legends.
-    frame : DataFrame
-        Table with a time column; without an energy column the energy is set to 0.
+    The energy is the last value of the energy column, or 0 without this column. The style follows
+    from the name (see `flight_styles`).
     """
     time = TIME.of(frame)
     has_energy = ENERGY.name in frame
@@ -499,13 +421,8 @@ def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the two flights that the figures of states show: the plan and one baseline flight.
 
-    In the baseline flight, named `FAIR_BASELINE`, a controller follows a smooth reference
-    trajectory. If `flights` lacks this flight, only the plan is returned.
-
-    Parameters
-    ----------
-    flights : sequence of StyledFlight
-        Flights, the plan first.
+    The first flight is the plan. The baseline flight is named `FAIR_BASELINE`; without it, the
+    result is the plan alone.
     """
     # The reference of this flight is independent of the plan, so that the comparison is fair.
     return tuple(

@@ -51,13 +51,6 @@ def write_table(table: Table, path: Path) -> None:
     """Write a table to a CSV file, numbers with twelve significant digits, NaN as empty cells.
 
     Texts that a spreadsheet would take for formulas get an apostrophe (see `neutral_cell`).
-
-    Parameters
-    ----------
-    table : DataFrame or mapping
-        The table, or its columns by name.
-    path : Path
-        File to write.
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -81,19 +74,8 @@ def flight_summary(
 ) -> dict[str, Any]:
     """Summarise one controlled flight as a dictionary for `summary.json`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Mission that was flown.
-    flight : Flight
-        The flight.
-    hover_energy_J : float
-        Energy of hovering for the duration of the mission.
-    arrived : bool
-        Whether the flight reached the goal.
-    wall_s : mapping
-        Wall time [s] of phases of the program, such as import, by name. The wall time of the
-        simulation is taken from `flight`.
+    `hover_energy_J` is for the duration of the mission. `wall_s` holds wall times [s] by phase of
+    the program, except the simulation.
     """
     return {
         "scenario": scenario.name,
@@ -126,15 +108,8 @@ _STATUS_COLUMN = "status"
 def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable[object]]:
     """Return the trajectory table of a plan as columns by name.
 
-    If the plan's controls were not simulated, as after a failed solve, a last column `status` holds
-    the plan's status.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    rate_hz : float, optional
-        Number of rows per second. By default there is one row for each mesh node.
+    By default there is one row for each mesh node. If the controls were not simulated, as after a
+    failed solve, a last column `status` holds the plan's status.
     """
     columns = plan.columns(plan.times(rate_hz))
     status: dict[str, Iterable[object]] = {}
@@ -162,15 +137,7 @@ def plan_summary(
 ) -> dict[str, Any]:
     """Summarise a plan as a dictionary for `summary.json`; None stands for NaN or infinity.
 
-    Parameters
-    ----------
-    plan : Plan
-        The plan, which may be the best iterate of a failed solve.
-    wall_s : mapping
-        Wall times [s] of the phases "import" and "report". The wall times of building, compiling,
-        solving and verifying the plan are taken from `plan.timings`. Other names are ignored.
-    warnings : sequence of str, optional
-        Cautions to record.
+    `wall_s` holds the wall times [s] of the phases "import" and "report".
     """
     verification = plan.verification
     timings = {**plan.timings, **wall_s}
@@ -215,13 +182,7 @@ def plan_summary(
 def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str, Any]:
     """Summarise a run as a dictionary for `summary.json`: plan, flights and lower bound.
 
-    Parameters
-    ----------
-    result : RunResult
-        A plan with the baseline flights it is compared with.
-    wall_s : mapping
-        Wall times [s] of the phases "import" and "report". Other names are ignored. The wall times
-        of planning, flights, lower bound and energy-time front are taken from `result`.
+    `wall_s` holds the wall times [s] of the phases "import" and "report".
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
@@ -329,29 +290,10 @@ _LARGEST_FILE = 256 * 1024 * 1024
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
     """Read summary and trajectory table of a report folder, and check the table.
 
-    The table is checked because the folder may come from an unknown source.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the report.
-    table : str, optional
-        File name of the table.
-
-    Returns
-    -------
-    dict
-        Content of `summary.json`, not validated; empty if it is not a JSON object.
-    DataFrame
-        Trajectory table. Its columns are the time and all other columns of the file that are in
-        `ALL_COLUMNS`, the list of all columns that a flight's table can have. The time increases
-        from row to row. All values are finite.
-
-    Raises
-    ------
-    ScenarioError
-        If a file is missing, too large or damaged, or the table is not a flight's table.
+    The times increase and all values are finite. The summary is not validated. Raises ScenarioError
+    if a file is missing, too large or damaged.
     """
+    # The folder may come from an unknown source, so its files are checked.
     file = folder / SUMMARY_NAME
     content = _content(file)
     try:
@@ -368,24 +310,8 @@ AIMS_NAME = "energy_and_charge.csv"
 def read_front(folder: Path) -> "pd.DataFrame | None":
     """Read the energy-time front (least energy against duration) of a report folder.
 
-    Each point is the optimal flight for one price of time, the extra energy accepted to shorten the
-    flight by one second [J/s = W].
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the report, which may come from an unknown source.
-
-    Returns
-    -------
-    DataFrame or None
-        Price of time [W], duration [s], energy [J], and whether the point is the report's plan: the
-        columns of `FrontColumn`. None if the report has no front.
-
-    Raises
-    ------
-    ScenarioError
-        If the file of the front cannot be read, is too large or damaged.
+    The columns are those of `FrontColumn`. The result is None if the report has no front. Raises
+    ScenarioError if the file is damaged or cannot be read.
     """
     import pandas as pd  # noqa: PLC0415  see `write_table`
 
@@ -403,19 +329,9 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
 
 
 def refuse_report(file: Path, what: str) -> NoReturn:
-    """Raise a one-line error for a damaged file of a report.
+    """Raise a one-line ScenarioError for a damaged file of a report.
 
-    Parameters
-    ----------
-    file : Path
-        The damaged file.
-    what : str
-        The fault, as the end of a sentence that begins with the file's name.
-
-    Raises
-    ------
-    ScenarioError
-        Always.
+    `what` is the fault, such as "is not valid JSON"; the message begins with the file's name.
     """
     raise ScenarioError(f"{printable(str(file))}: {what}; solve the scenario again.") from None
 

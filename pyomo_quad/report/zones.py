@@ -16,14 +16,8 @@ _ROUND = 36  # corners of the polygon that is drawn for a circle
 def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:
     """Return the outline of a keep-out zone as a matplotlib patch, seen along one axis.
 
-    Parameters
-    ----------
-    zone : KeepOut
-        The zone.
-    directions : tuple of int
-        Coordinates of the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
-    clearance : float, optional
-        Distance [m] by which the outline is grown on all sides.
+    `directions` are the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
+    The outline is grown by `clearance` [m] on all sides.
     """
     if zone.corners is not None and set(directions) == {0, 1}:
         ring = zone.ring(clearance)
@@ -44,15 +38,7 @@ def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) 
 def box_around(zone: KeepOut) -> FloatArray:
     """Return the two extreme corners of the smallest axis-parallel box around a zone.
 
-    Parameters
-    ----------
-    zone : KeepOut
-        The zone.
-
-    Returns
-    -------
-    ndarray, shape (2, 3)
-        Least and greatest coordinates, in m; infinite where the zone is unbounded.
+    The result has shape (2, 3): least and greatest x, y and z [m].
     """
     sides = {
         axis: (centre - ball.radius, centre + ball.radius)
@@ -68,17 +54,8 @@ def box_around(zone: KeepOut) -> FloatArray:
 def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
     """Return the surface of a keep-out zone as polygons, cut off at the limits of a figure.
 
-    Parameters
-    ----------
-    zone : KeepOut
-        The zone.
-    limits : ndarray, shape (3, 2)
-        Least and greatest x, y and z of the figure, in m.
-
-    Returns
-    -------
-    ndarray, shape (n_faces, n_corners, 3)
-        Corners in m. A polygon with fewer than n_corners corners repeats its last corner.
+    `limits` has shape (3, 2). The result holds corners [m], shape (n_faces, n_corners, 3); a
+    polygon with fewer corners repeats its last corner.
     """
     cut = [face for face in (_clipped(face, limits) for face in _whole_faces(zone)) if len(face)]
     most = max(map(len, cut), default=0)

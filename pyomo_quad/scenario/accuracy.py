@@ -35,40 +35,41 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative tolerance of the energy, between the plan and the least energy, and between the
-        simulation and the plan. It also bounds the collocation error at which mesh refinement
-        stops.
+        Relative tolerance of the energy.
     miss : float
-        Largest deviation of the final state from the goal in the simulation, which has no feedback.
-        The deviation of a state x [m, m/s or rad] is divided by max(abs(x), 1). For a waypoint,
-        `miss` bounds the distance [m] outside the waypoint's radius.
+        Largest deviation from the goal at the end.
     breach : float
-        Largest relative violation of a limit between collocation points: the violation divided by
-        max(abs(limit), 1).
+        Largest relative violation of a limit.
     turning : float
-        Largest rate of change of the heading [rad/s], if the mission keeps the heading constant.
+        Largest rate of a heading that must be constant [rad/s].
     intrusion : float
-        Largest distance [m] by which the flight may violate a limit of the airspace, such as the
-        ceiling or the distance from a zone. `breach` also applies to these limits.
+        Largest violation of an airspace limit [m].
     integration : float
         Relative and absolute tolerance of the simulation.
     spacing : float
-        Distance [m] between neighbouring places at which the simulated path is checked for entry
-        into a keep-out zone. Parts of the path far from all zones are checked less densely.
+        Distance between checked places [m].
     """
 
+    # Bounds the difference between plan and least energy, and between simulation and plan. Also
+    # bounds the collocation error at which mesh refinement stops.
     energy: float
+    # The simulation has no feedback. The deviation of a state x [m, m/s or rad] is divided by
+    # max(abs(x), 1). For a waypoint, `miss` bounds the distance [m] outside its radius.
     miss: float
+    # Between collocation points: the violation divided by max(abs(limit), 1).
     breach: float
     # About 3 deg/s at `quick`, and 0.5 deg/s at `standard`. A brief turn at these rates changes
     # neither the path nor the energy.
     turning: float
     # A relative tolerance is wide at a high limit: 1 % of a ceiling at 50 m is half a metre. At the
     # level `proof`, `breach` alone is strict enough (5 mm at 50 m), and `intrusion` is infinite.
+    # Such limits are the ceiling or the distance from a zone. They must satisfy `breach`, too.
     intrusion: float
     # In a flight without feedback, errors grow about a millionfold in half a minute. The value is
     # therefore far below the other tolerances.
     integration: float
+    # At these places the simulated path is checked for entry into a keep-out zone. Parts of the
+    # path far from all zones are checked less densely.
     spacing: float
 
 

@@ -1,4 +1,15 @@
-"""Table `airspace` of a scenario: height limits, fence, keep-out zones and terrain."""
+"""Table `airspace` of a scenario: height limits, fence, keep-out zones and terrain.
+
+Each keep-out zone is the intersection of balls (see `Ball`). The distance from the centre is
+measured in x, y and z for a sphere, in x and y for a vertical cylinder, and in one coordinate for a
+slab, the space between two parallel planes:
+
+zone | balls
+sphere | one sphere
+cylinder | a cylinder, and a slab in z
+box | a slab in x, in y and in z
+prism over a convex polygon | for each edge a slab along its normal, and a slab in z
+"""
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
@@ -37,52 +48,32 @@ class Shape(StrEnum):
 class Ball(NamedTuple):
     """Sphere, infinite vertical cylinder, or slab: every keep-out zone is an intersection of these.
 
-    A ball is the set of places whose distance from a centre is at most a radius. The distance is
-    measured in x, y and z for a sphere, in x and y for a cylinder, and in one coordinate for a
-    slab, the space between two parallel planes. A slab is called an interval of its coordinate:
-
-    zone | balls
-    sphere | one ball in x, y and z
-    cylinder | a ball in x and y, and an interval of z
-    box | an interval of x, of y and of z
-    prism over a convex polygon | for each edge an interval along its normal, and an interval of z
+    A ball is the set of places whose distance from a centre is at most a radius.
 
     Attributes
     ----------
     axes : tuple of int
-        Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
-        interval along the normal of a polygon's edge.
+        Coordinates that count: 0 for x, 1 for y, 2 for z.
     centre : tuple of float
-        Coordinates of the centre [m], one for each member of `axes`. For an interval along the
-        normal of a polygon's edge, its one coordinate along the normal.
+        Centre [m].
     radius : float
-        Radius, or half the length of the interval [m].
+        Radius, or half the thickness of a slab [m].
     normal : tuple of float or None
-        Horizontal unit vector normal to a polygon's edge. It gives the direction of an interval
-        along this normal. None for all other balls.
+        Horizontal unit vector across a polygon's edge.
     """
 
+    # Empty for a slab along the normal of a polygon's edge.
     axes: tuple[int, ...]
+    # For a slab along a normal, the coordinate along this normal.
     centre: tuple[float, ...]
     radius: float
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which the distance to the centre is measured.
+        """Return the coordinates of places in which the distance to the centre is measured [m].
 
-        These are x, y and z for a sphere, and x and y for a cylinder. For an interval, the result
-        is x, y or z, or the position along the normal of a polygon's edge.
-
-        Parameters
-        ----------
-        places : array_like, shape (..., 3)
-            Positions x, y, z [m].
-
-        Returns
-        -------
-        ndarray, shape (..., n)
-            Coordinates of each place [m]; n is 3 for a sphere, 2 for a cylinder and 1 for an
-            interval.
+        `places` hold x, y, z [m], shape (..., 3). The result has shape (..., n): n is 3 for a
+        sphere, 2 for a cylinder, 1 for a slab.
         """
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
@@ -94,16 +85,8 @@ class Ball(NamedTuple):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the ball [m], negative outside.
 
-        Parameters
-        ----------
-        places : array_like, shape (..., 3)
-            Positions x, y, z [m].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Depth = radius - distance from the ball's centre. The distance is measured in the ball's
-            one to three coordinates (see `coordinates`).
+        Depth = radius - distance from the centre, in the coordinates of `Ball.coordinates`.
+        `places` have shape (..., 3).
         """
         import numpy as np  # noqa: PLC0415  see `coordinates`
 
@@ -123,20 +106,10 @@ _STRAIGHT = 1e-9
 
 
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
-    """Return twice the signed area of the triangle that each corner forms with its neighbours.
+    """Return twice the signed area [m²] of the triangle that each corner forms with its neighbours.
 
-    A left turn of the outline at a corner gives a positive area, a right turn a negative area. A
-    convex polygon in counter-clockwise order has no negative area.
-
-    Parameters
-    ----------
-    corners : sequence of (float, float)
-        Corners x, y of the polygon, in order [m].
-
-    Returns
-    -------
-    list of float
-        Twice the signed area of the triangle at each corner [m²].
+    A left turn at a corner gives a positive area. A convex polygon in counter-clockwise order has
+    no negative area.
     """
     count = len(corners)
     found = []
@@ -277,20 +250,10 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def ring(self, beyond: float = 0.0) -> "FloatArray":
-        """Return the corners of a prism's ground plan, whose edges may be moved outwards.
+        """Return the corners x, y of a prism's polygon in order, shape (n, 2) [m].
 
-        The ground plan is the polygon over which the prism stands. Corners on the straight line
-        between their two neighbours are left out. The zone must be a prism.
-
-        Parameters
-        ----------
-        beyond : float, optional
-            Distance by which each edge is moved [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Corners x, y in order [m].
+        Each edge is moved outwards by `beyond` [m]. Corners on the straight line between their
+        neighbours are left out. The zone must be a prism.
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
@@ -312,18 +275,8 @@ class KeepOut(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the zone [m], negative outside.
 
-        Inside the zone, the depth is the distance to the nearest face. Outside, its magnitude is at
-        most the distance from the zone.
-
-        Parameters
-        ----------
-        places : array_like, shape (..., 3)
-            Positions x, y, z [m].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Depths.
+        Inside, this is the distance to the nearest face. Outside, its magnitude is at most the
+        distance from the zone. `places` have shape (..., 3).
         """
         import numpy as np  # noqa: PLC0415  see `Ball.depth`
 
@@ -367,17 +320,8 @@ class KeepIn(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the distance of places to the nearest edge of the fence [m], negative outside.
 
-        Outside, the magnitude is at most the distance from the fence.
-
-        Parameters
-        ----------
-        places : array_like, shape (..., 3)
-            Positions x, y, z [m].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Distances.
+        Outside, the magnitude is the greatest distance beyond the line of an edge. It is at most
+        the distance from the fence. `places` have shape (..., 3).
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
@@ -405,24 +349,16 @@ class TerrainGrid(Part):
     def surface(self, side: int) -> "Surface":
         """Return a smooth surface close to the ground, from which a height limit is measured.
 
-        Parameters
-        ----------
-        side : int
-            1 for a surface nowhere below the ground, from which the floor (least allowed
-            height) is measured; -1 for one nowhere above it, for the ceiling (greatest height).
+        If `side` is 1, the surface is nowhere below the ground, and the floor is measured from it.
+        If `side` is -1, it is nowhere above, for the ceiling.
         """
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
         """Return a smooth surface that clears the terrain on straight horizontal flights home.
 
-        At each place, the surface is at least as high as the highest ground on the straight line
-        from there to the home.
-
-        Parameters
-        ----------
-        home : tuple of float
-            Position x, y, z to which the vehicle returns [m]; z is ignored.
+        Each place of the surface is at least as high as all ground on the straight line to `home`,
+        whose z is ignored.
         """
         return _surface_of_ways(self, home)
 
@@ -520,21 +456,8 @@ class Airspace(Part):
     def height_above_ground(self, place: "ArrayLike", side: int = 1) -> "FloatArray":
         """Return the height of places above a smooth surface close to the ground [m].
 
-        The floor (least allowed height) and the ceiling (greatest allowed height) are measured from
-        two such surfaces. Without terrain both are the plane z = 0.
-
-        Parameters
-        ----------
-        place : array_like, shape (..., 3)
-            Positions x, y, z [m].
-        side : int, default 1
-            1 for the surface that is nowhere below the ground, from which the floor is measured; -1
-            for the surface that is nowhere above the ground, from which the ceiling is measured.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Heights.
+        `side` is that of `TerrainGrid.surface`: 1 for the floor, -1 for the ceiling. Without
+        terrain the surface is z = 0. `place` has shape (..., 3).
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
@@ -546,18 +469,8 @@ class Airspace(Part):
     def distance_to_height_limits(self, places: "ArrayLike") -> "FloatArray":
         """Return the vertical distance of places to the nearer height limit [m], negative outside.
 
-        The height limits are the floor (least allowed height) and the ceiling (greatest allowed
-        height).
-
-        Parameters
-        ----------
-        places : array_like, shape (..., 3)
-            Positions x, y, z [m].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Distances. They are infinite if there is neither a floor nor a ceiling.
+        The limits are floor and ceiling. Without both, the distance is infinite. `places` have
+        shape (..., 3).
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
@@ -567,15 +480,9 @@ class Airspace(Part):
         return np.minimum(over - low, high - under)
 
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
-        """Yield one message for each reason why a place is outside the airspace.
+        """Yield one message for each reason why a place x, y, z [m] is outside the airspace.
 
-        A message states the limit that the place violates, and a remedy. The caller puts the name
-        of the place before the message.
-
-        Parameters
-        ----------
-        place : sequence of float
-            Position x, y, z [m].
+        The caller puts the name of the place before the message.
         """
         over, told = self.height_above_ground(place), ""
         if self.ground is not None:

@@ -152,19 +152,9 @@ class WritableField:
 def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...]) -> dict[str, Any]:
     """Return the JSON Schema by which editors complete and check a TOML file.
 
-    The schema includes alternative notations, such as angles in degrees, and excludes fields that
-    users do not write.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        Pydantic model of the whole file, either a scenario or a study (a file that describes a
-        parameter sweep).
-    title : str
-        Title of the schema.
-    required : tuple of str
-        Keys that every file must have; all other keys have a default or come from the package's
-        library of vehicles, batteries and winds.
+    `model` describes the whole file, a scenario or a study. Alternative notations are included, and
+    fields that users do not write are excluded. `required` names the keys that every file must
+    have.
     """
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
@@ -195,17 +185,8 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
 def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     """Describe the fields that a scenario or study file may have, in the order of the schema.
 
-    A study file describes a parameter sweep.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        Pydantic model of the whole file, either a scenario or a study.
-
-    Returns
-    -------
-    tuple of WritableField
-        Descriptions, one for each row of the documentation's table of fields.
+    `model` describes the whole file. Each description is one row of the documentation's table of
+    fields.
     """
     schema = model.model_json_schema()
     return tuple(_writable(schema, schema.get("$defs", {}), ""))
@@ -214,8 +195,8 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON Schemas of a field's alternative notations, by key; empty without any.
 
-    A place may be given by latitude and longitude, and a wind direction as that from which it
-    blows.
+    A place may be given by latitude and longitude. A wind may be given by the direction from which
+    it blows.
     """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
@@ -400,17 +381,7 @@ def refuse_no_name(text: str) -> None:
 def started_scenario(template: str, name: str) -> str:
     """Return the text of a shipped scenario under a new name, for the user to edit.
 
-    Parameters
-    ----------
-    template : str
-        Name of the shipped scenario.
-    name : str
-        Name of the new scenario.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such shipped scenario, or the new name is not valid.
+    Raises ScenarioError if there is no such shipped scenario, or the new name is not valid.
     """
     shipped = shipped_scenarios()
     if template not in shipped:

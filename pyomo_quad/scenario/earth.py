@@ -1,9 +1,8 @@
 """Geodetic positions: the origin of a mission on earth, and places by latitude and longitude.
 
-The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
-metres. The plane z = 0 is tangent to the earth at the origin. The earth's surface lies below this
-plane: by 8 cm at 1 km from the origin, and by 8 m at 10 km. Latitude and longitude refer to WGS 84.
-All altitudes of a mission must have a common reference level, usually the sea.
+The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin [m].
+The plane z = 0 is tangent to the earth, which lies below it: by 8 cm at 1 km from the origin, and
+by 8 m at 10 km. Latitude and longitude are in WGS 84.
 """
 
 from collections.abc import Mapping
@@ -50,6 +49,7 @@ class GeodeticOrigin(Part):
 
     latitude: Number = _degrees(_LATITUDE, "latitude of the origin, north of the equator")
     longitude: Number = _degrees(_LONGITUDE, "longitude of the origin, east of Greenwich")
+    # All altitudes of a mission must have one reference level, usually the sea.
     altitude: Number = quantity(
         "m",
         "altitude of the origin, above the sea",
@@ -59,17 +59,9 @@ class GeodeticOrigin(Part):
     )
 
     def geodetic(self, place: "FloatArray") -> "FloatArray":
-        """Convert places from metres to latitude and longitude.
+        """Convert places from metres, shape (n, 3), to latitude and longitude.
 
-        Parameters
-        ----------
-        place : ndarray, shape (n, 3)
-            x east, y north and z up from the origin [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Latitude [deg], longitude [deg] and height above the origin's altitude [m].
+        The result holds latitude [deg], longitude [deg] and height above the origin's altitude [m].
         """
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
@@ -79,17 +71,9 @@ class GeodeticOrigin(Part):
         return np.column_stack([latitude, longitude, altitude - self.altitude])
 
     def local(self, globe: "ArrayLike") -> "FloatArray":
-        """Convert places from latitude and longitude to metres.
+        """Convert places from latitude and longitude to metres, shape (n, 3).
 
-        Parameters
-        ----------
-        globe : array_like, shape (n, 3)
-            Latitude [deg], longitude [deg] and height above the origin's altitude [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            x east, y north and z up from the origin [m].
+        `globe` holds latitude [deg], longitude [deg] and height above the origin's altitude [m].
         """
         import numpy as np  # noqa: PLC0415  see `geodetic`
 
@@ -112,30 +96,10 @@ class GeodeticOrigin(Part):
 def local_place(
     written: Mapping[str, Any], where: str, origin: GeodeticOrigin | None, count: int
 ) -> list[float]:
-    """Convert a place of a scenario file from latitude and longitude to metres.
+    """Convert a place of a scenario file from latitude and longitude [deg] to metres.
 
-    Parameters
-    ----------
-    written : mapping
-        `latitude` and `longitude` [deg] and, for three coordinates, `altitude` above the sea or
-        `height` above the origin [m].
-    where : str
-        Beginning of error messages: the file and the field.
-    origin : GeodeticOrigin or None
-        Position of x = y = z = 0 on earth.
-    count : int
-        Number of coordinates: 2 or 3.
-
-    Returns
-    -------
-    list of float
-        x, y and, for three coordinates, z [m].
-
-    Raises
-    ------
-    ScenarioError
-        If a coordinate is missing or out of range, a key is unknown, or the mission has no origin.
-        The message is a single line.
+    `count` is the number of coordinates, 2 or 3. The third is written as `altitude` above the sea
+    or `height` above the origin [m]. Raises ScenarioError, which begins with `where`.
     """
     keys = (_LATITUDE, _LONGITUDE, *((_ALTITUDE, _HEIGHT) if count == 3 else ()))
     strange = next((key for key in written if key not in keys), None)

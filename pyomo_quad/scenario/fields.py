@@ -44,19 +44,16 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 class Sound(NamedTuple):
     """Plausible range of a numeric scenario field, and the reason for the range in words.
 
-    A number outside the range is refused. It is probably a typing error or in a wrong unit, and
-    might cause overflow.
+    A number outside is refused: it is probably a typing error.
 
     Attributes
     ----------
     low, high : float
         Ends of the range, in the field's unit.
     because : str
-        Reason for the range, for error messages and for the list of all scenario fields in the
-        documentation.
+        Reason for the range, for messages and the documentation.
     sign : str
-        Bound at 0 that applies in addition to the range: "gt" (greater than 0), "ge" (at least 0)
-        or "" (none).
+        "gt" if the number must also be greater than 0, "ge" if at least 0, else "".
     """
 
     low: float
@@ -111,7 +108,8 @@ class Part(BaseModel):
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Serialise the table for a record, such as the scenario in the summary of a report.
 
-        Late fields with their default value are left out (see `quantity`).
+        Fields declared with `is_late` (see `quantity`) are left out if they have their default
+        value.
         """
         written: dict[str, Any] = dump(self)
         for name, field in type(self).model_fields.items():
@@ -146,51 +144,28 @@ def quantity(
     description: str,
     default: object = ...,
     *,
+    # Description of the allowed texts, for a field whose texts must match a pattern.
     allowed: str = "",
+    # Example in TOML, for the message on a missing field.
     example: str = "",
+    # Keys that users may write by mistake, such as `time` for `duration`; a message then names the
+    # field.
     other_names: tuple[str, ...] = (),
     sound: Sound | None = None,
+    # Whether earlier versions of the package lack the field. A stored scenario omits it if the
+    # field has its default.
     is_late: bool = False,
+    # Value of the field if a user's scenario file omits it; None if `default` is this value.
     initial: object = None,
+    # Factor to `unit` from another unit, by the key for that unit.
     unit_keys: Mapping[str, float] | None = None,
     **limits: Any,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
     """Declare a field of a scenario's table, with unit, meaning and allowed values.
 
-    Parameters
-    ----------
-    unit : str
-        SI unit as a Pyomo unit string; ``"1"`` for a plain number, ``""`` for text and tables.
-    description : str
-        Meaning of the field, in one line.
-    default : object, optional
-        Value if neither the scenario nor the package's library of vehicles, batteries and winds
-        gives a value. Without a default the field is required.
-    allowed : str, optional
-        Description of the allowed texts, for a field whose texts must match a regular expression.
-    example : str, optional
-        Example value in TOML, for the message on a missing field.
-    other_names : tuple of str, optional
-        Keys that users may write by mistake for the field, such as `time` for `duration`. The error
-        message about such a key names the field.
-    sound : Sound, optional
-        Plausible range of the number.
-    is_late : bool, optional
-        Whether the field is late: earlier versions of the package did not have it. A stored
-        scenario, as in a report, leaves out late fields that have their default.
-    initial : object, optional
-        Value of the field if a user's scenario file leaves it out. If a stored scenario leaves it
-        out, the value is `default`. Without `initial`, the value is `default` in both cases.
-    unit_keys : mapping, optional
-        Factor from another unit to `unit`, by the key under which a file may give the field in that
-        unit.
-    **limits
-        Constraints of pydantic, such as ``gt=0`` or ``max_length=200``.
-
-    Returns
-    -------
-    object
-        A pydantic field.
+    `unit` is a Pyomo unit string: ``"1"`` for a plain number, ``""`` for texts and tables.
+    ``limits`` are constraints of pydantic, such as ``gt=0``. Without `default` the field is
+    required.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
     if sound is not None:
@@ -225,17 +200,7 @@ title_field = partial(quantity, "", pattern=_ONE_LINE, allowed="one line", max_l
 def unit_of(model: type[BaseModel], name: str) -> str:
     """Return the unit of a field of a scenario's table.
 
-    Parameters
-    ----------
-    model : type of BaseModel
-        Model of the table.
-    name : str
-        Name of the field.
-
-    Returns
-    -------
-    str
-        Unit string; empty if the field has no unit or does not exist.
+    The unit is empty if the field has none or does not exist.
     """
     return str(_declared_with(model, name, "unit"))
 
@@ -243,17 +208,7 @@ def unit_of(model: type[BaseModel], name: str) -> str:
 def allowed_text(model: type[BaseModel], name: str) -> str:
     """Return the description of the texts that a field accepts, for error messages.
 
-    Parameters
-    ----------
-    model : type of BaseModel
-        Model of the table that has the field.
-    name : str
-        Name of the field.
-
-    Returns
-    -------
-    str
-        Words that follow "must be" in a message; empty if the field has no such description.
+    The words follow "must be" in a message. They are empty if the field has no description.
     """
     return str(_declared_with(model, name, "allowed"))
 
@@ -277,16 +232,10 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
     """Return the initial value of a field, or None if the field has no initial value.
 
-    The initial value is that of a field that a user's scenario file omits. A field that a stored
-    scenario omits gets its default instead. Initial values 0, False and "" also give None.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        Model of the table that has the field.
-    name : str
-        Name of the field.
+    A field gets its initial value if a user's scenario file omits it. It gets its default if a
+    stored scenario omits it.
     """
+    # Initial values 0, False and "" also give None.
     return _declared_with(model, name, "default") or None
 
 
@@ -294,17 +243,8 @@ def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
 def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
     """Return the keys by which a table's fields may be given in other units.
 
-    An angle NAME in radians may be given in degrees as NAME_deg.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        Model of the table.
-
-    Returns
-    -------
-    dict
-        Name of the field, and factor from the key's unit to the field's unit, by key.
+    Each key leads to the field's name, and to the factor from the key's unit. An example is
+    ``{"roll_max_deg": ("roll_max", pi / 180)}``.
     """
     keys: dict[str, tuple[str, float]] = {}
     for name in model.model_fields:
@@ -323,6 +263,7 @@ def _declared_with(model: type[BaseModel], name: str, item: str) -> Any:  # noqa
 
 def _sound(sound: Sound, value: Any) -> Any:  # noqa: ANN401
     numbers = value if isinstance(value, tuple) else (value,)
+    # A number outside the range may be in a wrong unit, and might cause overflow.
     if any(isinstance(n, int | float) and not sound.low <= n <= sound.high for n in numbers):
         each = "each " if isinstance(value, tuple) else ""
         allowed = f"{each}must be from {sound.low:g} to {sound.high:g}: {sound.because}"
@@ -341,11 +282,8 @@ _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 def parse_path(text: str) -> FieldPath | None:
     """Split a field's path such as `mission.goal.position[2]` into keys and list indices.
 
-    Returns
-    -------
-    tuple of str and int, or None
-        Keys and indices, such as ``("mission", "goal", "position", 2)``; None if the text is not a
-        path, or is longer than the path of any field.
+    The result is ``("mission", "goal", "position", 2)``, or None if the text is no path or too
+    long.
     """
     steps: list[str | int] = []
     for part in text.strip().split("."):
@@ -366,19 +304,10 @@ def spell(path: FieldPath) -> str:
 
 
 def depth(value: object, allowed: int) -> int:
-    """Return the nesting depth of tables and lists, up to a maximum.
+    """Return the nesting depth of tables and lists, at most ``allowed + 1``.
 
-    Parameters
-    ----------
-    value : object
-        Tables and lists, or a plain value. A plain value has depth 0.
-    allowed : int
-        Depth above which the count stops. The count is thus fast even for malicious input.
-
-    Returns
-    -------
-    int
-        Depth, at most ``allowed + 1``.
+    A plain value has depth 0. Deeper levels are not counted, so that malicious input takes little
+    time.
     """
     level, layer = 0, [value]
     while level <= allowed:
@@ -437,18 +366,10 @@ def table_at(tree: Any, *place: str | int) -> Mapping[str, Any]:  # noqa: ANN401
 
 
 def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge two nested tables; values of the second table take precedence.
+    """Merge two nested tables into a new one; values of `upper` take precedence.
 
-    Parameters
-    ----------
-    lower, upper : mapping
-        Nested tables. If a key is in both, and both its values are tables, the two values are
-        merged. Otherwise the value in `upper` is taken.
-
-    Returns
-    -------
-    dict
-        The merged table, a new object. Values that are not merged are not copied.
+    If a key is in both, and both its values are tables, these are merged. Other values are not
+    copied.
     """
     merged = dict(lower)
     for key, value in upper.items():
@@ -461,19 +382,8 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
 def set_value(tree: object, path: FieldPath, value: object) -> Any:  # noqa: ANN401
     """Return a copy of nested tables and lists with the value at one path replaced.
 
-    Parameters
-    ----------
-    tree : object
-        Nested tables and lists.
-    path : tuple of str and int
-        Keys and list indices; missing tables are created.
-    value : object
-        New value.
-
-    Raises
-    ------
-    LookupError
-        If the path goes through a plain value, or past the end of a list.
+    Missing tables are created. Raises LookupError if the path goes through a plain value, or past
+    the end of a list.
     """
     if not path:
         return value

@@ -1,11 +1,9 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex. To keep the flight out of a zone, the model requires each place of
-the flight to lie on the outer side of the plane of at least one face. This condition would also
-admit some places inside a concave zone.
-
-A concave polygon is divided into convex zones NAME-1, NAME-2 and so on. A concave fence becomes its
-convex hull, with keep-out zones fence-1, fence-2 and so on outside the fence.
+The model keeps each place of the flight on the outer side of at least one face's plane. Some places
+inside a concave zone would satisfy this condition. A concave polygon is therefore divided into
+convex zones NAME-1, NAME-2 and so on. A concave fence becomes its convex hull, with keep-out zones
+fence-1, fence-2 and so on.
 """
 
 import json
@@ -31,12 +29,7 @@ def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario's table `airspace` with concave polygons divided into convex parts.
 
     A concave fence becomes its convex hull, with keep-out zones outside the fence. Invalid polygons
-    are kept as they are. The validation of the scenario rejects them later.
-
-    Parameters
-    ----------
-    airspace : mapping
-        Table as in a scenario file.
+    are kept for the validation, which rejects them.
     """
     divided = dict(airspace)
     zones: list[Any] = []
@@ -85,26 +78,16 @@ def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and se
 
 
 def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
-    """Divide a polygon into convex parts.
+    """Divide a polygon into convex parts, each a list of corners (x, y) in order.
 
-    The method is that of Hertel and Mehlhorn (1983). The polygon is triangulated, and neighbouring
-    parts are merged as long as their union is convex. The number of parts is at most four times the
-    least possible number.
-
-    Parameters
-    ----------
-    polygon : shapely.Polygon
-        Polygon, which may have holes.
-
-    Returns
-    -------
-    list of list
-        Corners (x, y) of each convex part, in order.
+    The method of Hertel and Mehlhorn (1983) gives at most four times the least number of parts. The
+    polygon may have holes.
     """
     from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_polygon_of`
 
     parts = [Polygon(t.exterior) for t in constrained_delaunay_triangles(polygon).geoms]
     is_merged = True
+    # The polygon is triangulated. Neighbouring parts are merged if their union is convex.
     while is_merged:
         is_merged = False
         for first in range(len(parts)):
@@ -152,30 +135,10 @@ def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `i
 
 
 def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> list[dict[str, Any]]:
-    """Read keep-out zones from a GeoJSON file (RFC 7946).
+    """Read keep-out zones from a GeoJSON file (RFC 7946) in longitude and latitude (WGS 84).
 
-    Parameters
-    ----------
-    file : Path
-        A FeatureCollection of polygons in longitude and latitude (WGS 84). Properties: `top` (or
-        `height`) and optionally `bottom` (or `min_height`; default 0), both in m above the origin,
-        and `name`.
-    place : str
-        Beginning of error messages: the scenario field that names the file.
-    origin : GeodeticOrigin or None
-        Position of x = y = z = 0 on earth.
-
-    Returns
-    -------
-    list of dict
-        A table `airspace.keep_out`, as in a scenario file, for each zone. A concave polygon gives a
-        zone for each of its convex parts.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, the mission has no origin, or a feature is not a polygon with a
-        height. The message is a single line.
+    Each zone is a table `airspace.keep_out`, as in a scenario file. Raises ScenarioError, which
+    begins with `place`, if the file or a feature is not valid.
     """
     features = _features(file, place)
     if origin is None:
@@ -187,6 +150,7 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
         name = told.get("name")
         name = name if isinstance(name, str) and name else f"zone{number}"
         where = f"{place}, feature {number}"
+        # Heights are in m above the origin.
         bottom = _height(told, ("bottom", "min_height"), 0.0, where)
         top = _height(told, ("top", "height"), None, where)
         for part, rings in enumerate(_polygons(feature, where), start=1):
@@ -247,7 +211,8 @@ def _height(
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
     """Yield the rings (closed outlines) of each polygon of a GeoJSON feature, outer ring first.
 
-    Raises a ScenarioError, which begins with `where`, for any other geometry.
+    Raises a ScenarioError, which begins with `where`, if the feature is not a polygon or
+    multipolygon.
     """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}

@@ -60,25 +60,25 @@ class Quantity:
     word : str
         Name of the quantity in messages.
     axes : tuple of str
-        Names of the axes that the grid may have: "x", "y", "z" and "time", or some of them.
+        Permitted axes, from "x", "y", "z" and "time".
     names : tuple of tuple of str
-        Possible names of each component in NetCDF. The standard name of the CF conventions is
-        first.
+        Names of each component in NetCDF.
     columns : tuple of str
-        Column of each component in a CSV or Parquet table.
+        Column of each component in a table.
     needed : int
-        Number of components that a file must have, counted from the first. The others are
-        optional.
+        Number of required components.
     units : mapping of str to float
-        Units allowed in NetCDF, each with the factor from the unit to SI units. The first unit is
-        assumed for a variable without a unit.
+        Factor from each unit to SI units.
     """
 
     word: str
     axes: tuple[str, ...]
+    # The standard name of the CF conventions is the first.
     names: tuple[tuple[str, ...], ...]
     columns: tuple[str, ...]
+    # Counted from the first component; the others are optional.
     needed: int
+    # The first unit is assumed for a variable without a unit.
     units: Mapping[str, float]
 
 
@@ -90,11 +90,9 @@ class Gridded(NamedTuple):
     axes : dict
         Ascending grid points of each axis, by name.
     components : ndarray, shape (n_components, ...)
-        Values at the grid points. The first array axis is the component of the quantity. Each
-        further array axis is an axis of the grid.
+        Values at the grid points. Further array axes are those of the grid.
     on_earth : tuple of str
-        Names of the horizontal axes whose grid points are in degrees: "x" for longitudes, "y" for
-        latitudes. Empty if both axes are in metres.
+        Horizontal axes in degrees: "x" for longitudes, "y" for latitudes.
     is_above_sea : bool
         Whether the heights of axis z are altitudes above the sea.
     """
@@ -106,31 +104,10 @@ class Gridded(NamedTuple):
 
 
 def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
-    """Read a quantity on a rectilinear grid from a file.
+    """Read a quantity on a rectilinear grid from a NetCDF, CSV or Parquet file, in SI units.
 
-    An axis of height or time with a single point is left out. Grid points without a value hold NaN.
-    In NetCDF, times given as dates count from the first date in the file.
-
-    Parameters
-    ----------
-    file : Path
-        NetCDF with names and units of the CF conventions, or a CSV or Parquet table with one row
-        for each grid point. x and y may be longitude and latitude.
-    place : str
-        Beginning of error messages: the scenario field that names the file.
-    quantity : Quantity
-        Names and units of the quantity in files.
-
-    Returns
-    -------
-    Gridded
-        Grid and values, in SI units except for longitude and latitude.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read or its data are not on a rectilinear grid. The message is a
-        single line.
+    Longitudes and latitudes stay in degrees, and missing values are NaN. Raises ScenarioError,
+    which begins with `place`, if the file cannot be read or has no rectilinear grid.
     """
     suffix = file.suffix.lower()
     try:
@@ -149,19 +126,8 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Gridded:
     """Convert the axes of gridded data to metres from the mission's origin.
 
-    Longitudes are converted at the grid's middle latitude, and latitudes at its middle longitude.
-    Raises a ScenarioError if the grid is so large that this conversion is inexact, if an angle is
-    impossible, or if only one horizontal axis is in degrees.
-
-    Parameters
-    ----------
-    field : Gridded
-        Data as read from the file.
-    origin : GeodeticOrigin or None
-        Position of x = y = z = 0 on earth, required for axes in degrees. With None, altitudes above
-        the sea stay unchanged.
-    place : str
-        Beginning of error messages: the scenario field that names the file.
+    Without `origin`, altitudes above the sea stay unchanged. Raises ScenarioError, which begins
+    with `place`, if angles are not valid or the grid is too large for the conversion.
     """
     axes = dict(field.axes)
     if field.is_above_sea and origin is not None:
@@ -183,6 +149,7 @@ def _on_middle_lines(
     if beyond or not np.isfinite(np.concatenate([east, north])).all():
         refuse(place, "has a latitude beyond 90 or a longitude beyond 360 degrees; correct it")
     middle = float(np.median(east)), float(np.median(north))
+    # Longitudes are converted at the grid's middle latitude, and latitudes at its middle longitude.
     x = origin.local([(middle[1], at, 0.0) for at in east])[:, 0]
     y = origin.local([(at, middle[0], 0.0) for at in north])[:, 1]
     steps = [np.abs(np.diff(axis)).min(initial=np.inf) for axis in (x, y)]
@@ -255,7 +222,8 @@ def _listed(axes: tuple[str, ...]) -> str:
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    The variable's name or its attribute `standard_name` counts. Earlier `names` have precedence.
+    Both the variable's name and its attribute `standard_name` are compared. Earlier `names` have
+    precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -278,6 +246,7 @@ def _numbers(variable: Any, place: str) -> FloatArray:  # noqa: ANN401
 
 
 def _points(variable: Any, axis: str, place: str) -> FloatArray:  # noqa: ANN401
+    # Dates count from the first date in the file.
     if np.issubdtype(variable.dtype, np.datetime64):
         return np.asarray((variable.to_numpy() - variable.to_numpy()[0]) / np.timedelta64(1, "s"))
     if np.issubdtype(variable.dtype, np.timedelta64):
@@ -382,12 +351,7 @@ def _rising(field: Gridded, place: str) -> Gridded:
 def check_axes(axes: Mapping[str, FloatArray], place: str) -> None:
     """Raise an error if an axis of gridded data has too few, repeated or implausibly large values.
 
-    Parameters
-    ----------
-    axes : mapping
-        Ascending grid points of each axis by name, in SI units.
-    place : str
-        Beginning of error messages: the scenario field that names the file.
+    The axes must ascend and be in SI units. The ScenarioError begins with `place`.
     """
     for name, points in axes.items():
         most, unit = (LATEST_TIME, "s") if name == "time" else (_FARTHEST_M, "m")

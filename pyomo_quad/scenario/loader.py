@@ -38,8 +38,8 @@ def load_scenario(
     Parameters
     ----------
     path : str, Path or mapping
-        A scenario file (TOML), or nested mappings with the same content. Relative file names in it
-        refer to the folder of the file, or for mappings to the working folder.
+        A scenario file (TOML), or nested mappings with the same content. Relative file names refer
+        to the folder of the scenario file. In mappings they refer to the working folder.
     overrides : sequence of str or mapping, optional
         Changed fields: a mapping from dotted path to value, or texts ``PATH=VALUE`` with a TOML
         value, as for the command-line option `--set`.
@@ -52,8 +52,7 @@ def load_scenario(
     Raises
     ------
     ScenarioError
-        If the file cannot be read or fields are invalid. The message has one line for each invalid
-        field, and each line names the field.
+        If the file cannot be read or fields are invalid. The message has one line for each field.
     FeasibilityError
         If the rotors cannot lift the vehicle.
 
@@ -124,27 +123,10 @@ def scenario_from_mapping(
 
 
 def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
-    """Return a copy of a scenario with some fields changed.
+    """Return a copy of a scenario with some fields changed; the scenario itself if none are.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario to copy; the object itself is not changed.
-    overrides : sequence of str
-        Changed fields, as texts ``PATH=VALUE``: the dotted path of a field and its new value in
-        TOML, as for the command-line option `--set`.
-
-    Returns
-    -------
-    Scenario
-        The changed copy; `scenario` itself if there are no overrides.
-
-    Raises
-    ------
-    ScenarioError
-        If a field is unknown or a value is invalid.
-    FeasibilityError
-        If the rotors cannot lift the changed vehicle.
+    `overrides` are texts ``PATH=VALUE``, as for `--set`. Raises ScenarioError if a field or value
+    is not valid, and FeasibilityError if the rotors cannot lift the vehicle.
     """
     parsed = _parsed(overrides)
     return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
@@ -164,23 +146,10 @@ def _from_written(origin: ScenarioSource) -> Scenario:
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
-    """Parse overrides of scenario fields, such as ``solver.accuracy=proof``.
+    """Parse overrides such as ``solver.accuracy=proof``: value of each field, by dotted path.
 
-    Parameters
-    ----------
-    overrides : sequence of str
-        Texts ``PATH=VALUE`` with a TOML value or a single word without quotes. If a path occurs
-        several times, the last value counts.
-
-    Returns
-    -------
-    dict
-        Value of each field, by its dotted path.
-
-    Raises
-    ------
-    ScenarioError
-        If a text is not PATH=VALUE.
+    A value is TOML, or one word without quotes. If a path occurs several times, the last value
+    counts. Raises ScenarioError if a text is not PATH=VALUE.
     """
     return {spell(path): value for path, value in _parsed(overrides).items()}
 
@@ -204,23 +173,8 @@ def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
 def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
     """Convert nested tables, or a mapping of dotted paths, to a flat dictionary of field values.
 
-    Parameters
-    ----------
-    tables : mapping
-        New values of scenario fields, nested as in ``{"mission": {"duration": 8.0}}``, or by dotted
-        path as in ``{"mission.duration": 8.0}``. A mapping may contain both forms.
-    source : str
-        Beginning of error messages: the name of the scenario or of the overrides.
-
-    Returns
-    -------
-    dict
-        Value of each field, by its path as a tuple of keys and list indices.
-
-    Raises
-    ------
-    ScenarioError
-        If the tables are nested too deep, or a key is not a valid path of a field.
+    For example, ``{"mission": {"duration": 8.0}}`` gives ``{("mission", "duration"): 8.0}``. Raises
+    ScenarioError, which begins with `source`, if a path is not valid.
     """
     refuse_deep(tables, source)
     assignments: dict[FieldPath, Any] = {}

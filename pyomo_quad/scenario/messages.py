@@ -54,25 +54,8 @@ def complaints(
 ) -> list[tuple[FieldPath, str]]:
     """Convert pydantic's validation errors of a table to messages of one line each.
 
-    Messages about unknown keys come first. An unknown key that resembles a missing required field
-    is probably a misspelling of the field. In this case only the unknown key is reported.
-
-    Parameters
-    ----------
-    error : ValidationError
-        All errors of a table.
-    model : type of BaseModel
-        Model of the table.
-    prefix : tuple, optional
-        Path of the table in the file, put before the paths in messages.
-    spared : sequence of tuple, optional
-        Paths at and below which missing or contradictory fields are not reported, because another
-        error, such as an unreadable data file, has left them incomplete.
-
-    Returns
-    -------
-    list of (tuple, str)
-        Path of the field, and message, of each error.
+    Unknown keys come first. `prefix` is put before each path. Missing or contradictory fields at
+    and below the paths `spared` are not reported.
     """
     # pydantic also reports a list as too short if one of its items is invalid.
     order = {"extra_forbidden": 0, "missing": 2, "too_short": 3}
@@ -82,6 +65,7 @@ def complaints(
     for details in sorted(error.errors(), key=lambda one: order.get(one["type"], 1)):
         details["loc"] = path = _without_branches(details["loc"], model)
         follows = details["type"] in {"missing", "value_error"}
+        # Another error, such as an unreadable data file, has left these fields incomplete.
         is_spared = any(path[: len(place)] == place for place in spared)
         is_told = path in found or path in misspelt or path[:-1] in short
         is_by_item = details["type"] == "too_short" and any(
@@ -94,6 +78,8 @@ def complaints(
         found[path] = _line(details, model, (*prefix, *path))
         if details["type"] == "extra_forbidden":
             table, _ = declared_place(model, path[:-1])
+            # An unknown key that resembles a missing required field is probably a misspelling. Only
+            # the unknown key is then reported.
             misspelt |= {(*path[:-1], name) for name in _meant(table, str(path[-1]))}
     return [((*prefix, *path), line) for path, line in found.items()]
 
@@ -105,7 +91,7 @@ _MOST_LINES = 20
 def listed(lines: Sequence[str]) -> str:
     """Join error messages to one text, one per line.
 
-    Only the first 20 of the messages `lines` are listed; a last line counts the rest.
+    After the first 20 messages, a last line states how many more there are.
     """
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
@@ -113,7 +99,10 @@ def listed(lines: Sequence[str]) -> str:
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return the path of a pydantic error without the type name that pydantic may append."""
+    """Return the path of a pydantic error without the type name that pydantic may append.
+
+    It appends this name if a field accepts several types.
+    """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
     # Some fields, such as `mission.duration`, accept a number or a word. For an invalid value,
@@ -125,12 +114,7 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
     """Return the words that a field accepts instead of a number, such as "free" for a duration.
 
-    Parameters
-    ----------
-    model : type of BaseModel
-        Model of the table that has the field.
-    name : str
-        Name of the field.
+    `model` is the class of the table that has the field `name`.
     """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
@@ -160,14 +144,7 @@ def printable(text: str) -> str:
 def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
     """Yield the paths of all fields of a table, including the fields of nested tables.
 
-    For a list of tables, the paths have the list index 0.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        Model of the table.
-    prefix : tuple, optional
-        Path of the table, put before each path.
+    For a list of tables, the paths have the list index 0. `prefix` is put before each path.
     """
     for name in model.model_fields:
         yield (*prefix, name)
@@ -182,19 +159,8 @@ def declared_place(
 ) -> tuple[type[BaseModel], str]:
     """Return the innermost table on the path of a field, and the unit of the field.
 
-    For example, `mission.goal.position[2]` gives the table `goal` and the unit of `position`.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        Model of the whole scenario.
-    place : sequence of str and int
-        Path as keys and list indices.
-
-    Returns
-    -------
-    tuple of (type, str)
-        Model class of the innermost table, and unit string of the field.
+    For example, `mission.goal.position[2]` gives the class of the table `goal`, and the unit of
+    `position`.
     """
     table, unit = model, ""
     for step in place:
@@ -299,19 +265,7 @@ def _example(model: type[BaseModel], name: str) -> str:
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
     """Return the pydantic class of the table, or of the list of tables, that a field holds.
 
-    Each table of a scenario file is read as an instance of a pydantic class.
-
-    Parameters
-    ----------
-    model : type of BaseModel
-        Class of the table with the field.
-    name : str
-        Name of the field.
-
-    Returns
-    -------
-    type of BaseModel or None
-        Class of the table, or of the tables in the list; None if the field has any other value.
+    The result is None if the field has any other value.
     """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None

@@ -271,22 +271,10 @@ class Mission(Part):
         return any(yaw != self.start.yaw for yaw in (*asked, self.goal.yaw))
 
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
-        """Return the times at which waypoints are reached and left, and the end time.
+        """Return the times at which waypoints are reached and left, and the end time [s].
 
-        The durations of all legs between two prescribed times are multiplied by one factor, so that
-        both times are met. The start has the prescribed time 0. Legs after the last prescribed time
-        keep their desired durations.
-
-        Parameters
-        ----------
-        legs : sequence of float
-            Desired duration of each leg [s], without hovering at waypoints. A leg is the flight
-            from one place (start, waypoint or goal) to the next.
-
-        Returns
-        -------
-        tuple of float
-            For each waypoint the times of arrival and departure, then the end time [s].
+        `legs` are the desired flight times between neighbouring places [s]. Between two prescribed
+        times, one factor scales them. After the last prescribed time, they stay unchanged.
         """
         goal = self.fixed_duration if not self.is_free else None
         given = (*(waypoint.at for waypoint in self.waypoints), goal)
@@ -348,20 +336,10 @@ class Mission(Part):
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return the new values of the fields that change if a free duration becomes fixed.
+        """Return new values of the table `mission` that make a free duration fixed [s].
 
-        In addition to the duration, the limits on the duration and the price of time change: they
-        get their defaults. The aim of least time becomes the aim of least energy.
-
-        Parameters
-        ----------
-        duration : float
-            Fixed duration [s].
-
-        Returns
-        -------
-        dict
-            Values of the fields of the table `mission`, by name.
+        The limits on the duration and the price of time get their defaults. The aim of least time
+        becomes the aim of least energy.
         """
         free = Mission.model_fields
         # These values, and the aim of least time, are allowed only with a free duration.

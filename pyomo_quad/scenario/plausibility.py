@@ -9,7 +9,7 @@ P_i | ideal power of hover [W], T^(3/2) / sqrt(2 rho A), the least for a disc ar
 
 These conditions are checked, apart from rounding of the numbers:
 
-- k_t k_v = 1: such a motor conserves energy; a larger product would create power.
+- k_t k_v = 1: the motor conserves energy. With a larger product it would create power.
 - tau omega >= P_i: by momentum theory, the ideal power is the least shaft power of a rotor in
   hover.
 - Ix <= Iy + Iz, and likewise for y and z. Ix is the mass integral of y² + z². The sum Iy + Iz is
@@ -55,19 +55,8 @@ class Contradiction:
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
     """Return an error message if the motors give out more power in hover than they take in.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    power : Power
-        Power model. For a model without electrical motor constants, nothing is checked.
-    gravity : float
-        Acceleration of gravity [m/s²].
-
-    Returns
-    -------
-    str
-        Error message; empty if the motors create no power.
+    The message is empty if they do not, or if the power model has no electrical motor constants.
+    `gravity` is in m/s².
     """
     motor = vehicle.motor
     if power.model not in _OF_MOTORS or motor is None:
@@ -129,17 +118,8 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     """Yield at most two remarks on numbers of a vehicle that are doubtful but not impossible.
 
-    The first concerns motor constants whose product differs from 1. The second concerns a high
-    figure of merit of the rotors: ideal power divided by shaft power in hover.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    power : Power
-        Power model.
-    gravity : float
-        Acceleration of gravity [m/s²].
+    They concern a product of motor constants that rounding explains but that is not 1, and a figure
+    of merit (ideal power / shaft power in hover) above 0.8.
     """
     motor = vehicle.motor
     # The product is 1 for a real motor. A difference up to `ROUNDED` may come from rounding of the
@@ -194,8 +174,8 @@ def _remedy(motor: MotorConstants) -> str:
 class _Hover:
     """Shaft power and ideal power of a vehicle in hover, and texts for messages about them.
 
-    `start` states drag torque coefficient and shaft power, `radius` the rotor radius and its
-    origin.
+    `start` is a text with drag torque coefficient and shaft power. `radius` is a text with the
+    rotor radius and the source of this number.
     """
 
     start: str
@@ -207,7 +187,8 @@ class _Hover:
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
     """Return the shaft power and the ideal power of a vehicle in hover, or None.
 
-    None is for the power model `momentum`, and for coaxial rotors without a given radius.
+    The power model `momentum` gives None, because its power is never below the ideal power. Coaxial
+    rotors without a given radius also give None.
     """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors

@@ -69,22 +69,10 @@ _LONG_KEY = re.compile(r"(?<![^.,=\n\[\]{}])(?:[^.,=\n\[\]{}]*+\.){32}")
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read a TOML file that may come from an untrusted source.
+    """Read the nested tables of a TOML file that may come from an untrusted source.
 
-    Parameters
-    ----------
-    file : Path
-        The file.
-
-    Returns
-    -------
-    dict
-        Nested tables.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, is too large, is nested too deep or is not TOML.
+    Raises ScenarioError if the file cannot be read, is too large, is nested too deep or is not
+    TOML.
     """
     source = printable(str(file))
     try:
@@ -109,23 +97,10 @@ def read_toml(file: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse the text of a TOML document.
+    """Parse the text of a TOML document, which may come from an untrusted source.
 
-    Parameters
-    ----------
-    text : str
-        The text, which may come from an untrusted source.
-
-    Returns
-    -------
-    dict
-        Nested tables of the document.
-
-    Raises
-    ------
-    ValueError
-        If the text is not TOML, has tables or lists nested deeper than the parser can recurse, or
-        has a key with more than 32 parts.
+    Raises ValueError if the text is not TOML, is nested deeper than the parser can recurse, or has
+    a key with more than 32 parts.
     """
     try:
         if _LONG_KEY.search(_TEXT.sub("''", text)) is None:
@@ -178,13 +153,13 @@ class LibraryEntry:
     kind : str
         Kind of the entry: ``vehicles``, ``batteries`` or ``winds``.
     name : str
-        Name of the entry in the library, or name of the user's file.
+        Name in the library, or name of the user's file.
     tables : mapping
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
         Source (publication, data sheet) of each number, by dotted scenario field.
     base : LibraryEntry or None
-        Library entry with the values that are missing in a user's own file.
+        Library entry with the values that a user's own file leaves out, or None.
     battery : str
         Default battery pack of a vehicle: a name of the library, or a file in the folder of the
         vehicle file. Empty if no pack is known.
@@ -285,8 +260,8 @@ def _entry(
 ) -> LibraryEntry:
     """Make a library entry from the content `written` of its file.
 
-    In the file, a number stands alone or in a table with its source. The entry keeps `base`, the
-    entry with missing values, but copies no values from it.
+    In the file, a number stands alone or in a table with its source. `base` becomes the attribute
+    `base` of the result, and its values are not copied.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -321,30 +296,10 @@ def _entry(
 
 
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
-    """Read a user's own vehicle, battery or wind from a file.
+    """Read a user's own vehicle, battery or wind from a file like those of the library.
 
-    The file has the structure of the library's files. Its key `use` may name a library entry, which
-    supplies missing values. In a vehicle file, the key `battery` may name the battery pack.
-
-    Parameters
-    ----------
-    kind : str
-        ``vehicles``, ``batteries`` or ``winds``.
-    name : str
-        Name of the file.
-    folder : Path
-        Folder to which the name of the file refers.
-
-    Returns
-    -------
-    LibraryEntry
-        Entry with the values and sources of the file. Its attribute `base` is the library entry
-        named by the key `use`, or None without this key.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, or has a key or value that is not allowed.
+    `kind` is ``vehicles``, ``batteries`` or ``winds``. The attribute `base` of the result is the
+    library entry named by the key `use`. Raises ScenarioError if the file is not valid.
     """
     written = dict(read_toml(folder / name))
     lines = list(_shape_complaints(kind, written))
@@ -425,17 +380,17 @@ class ScenarioSource:
     Attributes
     ----------
     source : str
-        Name of the scenario in messages, usually its file.
+        Name of the scenario in messages.
     folder : Path
         Folder to which relative file names refer.
     document : mapping
-        The scenario's own tables, before the overrides and the values of the library are added.
+        The scenario's own tables, without overrides.
     assignments : mapping
-        New value of each overridden field, by path, in the order of the overrides.
+        Value of each overridden field, by path.
     label : str
-        Name of the overrides, such as ``--set``, in messages and in the record of origins.
+        Name of the overrides, such as ``--set``.
     is_resolved : bool
-        Whether the tables are already complete, as in a scenario stored in a report.
+        Whether the tables are complete, as in a stored scenario.
     """
 
     source: str
@@ -459,8 +414,7 @@ class Resolution:
     complaints : tuple of str
         An error message for each value that could not be determined.
     unfilled : tuple
-        Paths of the tables and fields that an error leaves incomplete, and always of the derived
-        limits, such as `limits.thrust_max`.
+        Paths of tables and fields that may be incomplete.
     """
 
     tables: Mapping[str, Any]
@@ -472,28 +426,10 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    If the scenario was stored by the package, initial values are not used (see `initial_of`).
-    Fields that are still missing get their defaults later, in the validation.
-
-    Parameters
-    ----------
-    origin : ScenarioSource
-        The scenario as written.
-    model : type of BaseModel
-        Pydantic class of the scenario, which declares the fields with their initial values.
-
-    Returns
-    -------
-    Resolution
-        The tables before validation, the origin of each value, and the errors found.
-
-    Raises
-    ------
-    ScenarioError
-        If an override refers to a list item that does not exist, or if a geographic position, a
-        wind direction `from`, a zone file or a terrain file is invalid. Other errors are in
-        `Resolution.complaints`.
+    The validation later adds defaults. Raises ScenarioError if an override, a place on earth or a
+    file of zones or terrain is not valid; other errors are in `Resolution.complaints`.
     """
+    # Overrides of list items need the complete lists, and are applied later.
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
     provenance |= {spell(path): origin.label for path in origin.assignments}
@@ -526,6 +462,7 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
         tables=_add_derived_limits(filled.tables),
         provenance=provenance,
         complaints=tuple(filled.complaints),
+        # An error may leave the derived limits, such as `limits.thrust_max`, incomplete.
         unfilled=(*filled.unfilled, *(("limits", name) for name in DERIVED_LIMITS)),
     )
 
@@ -545,15 +482,6 @@ def message_origin(origin: ScenarioSource, provenance: Mapping[str, str], path: 
     """Return the origin of a field's value, as the beginning of a message.
 
     The origin is the scenario file, a library entry or an option such as ``--set``.
-
-    Parameters
-    ----------
-    origin : ScenarioSource
-        The scenario as written.
-    provenance : mapping
-        Origin of each value, by dotted path.
-    path : tuple of str and int
-        Path of the field.
     """
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
@@ -730,8 +658,8 @@ class _Filled:
     def is_recorded(self, place: FieldPath, named: str, content: str) -> bool:
         """Return whether a stored scenario already contains the content of a data file.
 
-        A recorded file is not read again. `named` and `content` are the fields with its name and
-        content.
+        A recorded file is not read again. The field `named` has the file's name, and the field
+        `content` has its content.
         """
         fields = (*place, named), (*place, content)
         # After an override of the file's name or content, the record no longer counts.
@@ -809,7 +737,8 @@ class _Filled:
 def _beside(file: str, pack: str) -> str:
     """Return the library name of a vehicle's battery pack, or the path of the pack's file.
 
-    `pack` is relative to the folder of `file`; the path is relative to the scenario's folder.
+    `pack` is such a name, or a path relative to the folder of the vehicle's `file`. The resulting
+    path is relative to the scenario's folder.
     """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 

@@ -155,7 +155,8 @@ class Scenario(Part):
         """Origin of each field's value, by dotted path.
 
         An origin is ``default``, ``scenario`` (the scenario file), ``library NAME``, ``--set`` (an
-        override), ``file NAME`` (a data file) and so on.
+        override) or ``file NAME`` (a data file). For a derived value it is a text such as ``1 /
+        torque_constant``.
         """
         everywhere = {spell(path): "default" for path, _ in leaves(self.model_dump())}
         return MappingProxyType(everywhere | dict(self._provenance))
@@ -168,8 +169,8 @@ class Scenario(Part):
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy of the scenario with some fields changed.
 
-        Limits and other values that depend on a changed field are computed again. Only a scenario
-        that was read from a report or a plan file keeps its limits.
+        Limits and other values that depend on a changed field are computed again. If the scenario
+        was read from a report or a plan file, its limits are stored values and stay unchanged.
 
         Parameters
         ----------
@@ -210,8 +211,8 @@ class Scenario(Part):
         Parameters
         ----------
         changes : mapping
-            New values, nested as in a scenario file or by dotted path. Both forms may be mixed. In
-            a table, fields that are not named keep their values. A list is replaced as a whole.
+            New values, nested as in a scenario file or by dotted path. In a table, fields that are
+            not named keep their values. A list is replaced as a whole.
 
         Returns
         -------
@@ -265,8 +266,8 @@ class Scenario(Part):
     def cruising(self, settings: CruiseSettings) -> Self:
         """Return a copy of the scenario with other settings of the baseline flight `cruise`.
 
-        A later call of `with_values` or `replace` on the copy may undo the change, because both
-        start from the scenario file.
+        `with_values` and `replace` start from the scenario file. A later call of one of them on the
+        copy may therefore undo the change.
 
         Parameters
         ----------
@@ -304,9 +305,9 @@ class Scenario(Part):
     def nominal_times(self) -> tuple[float, ...]:
         """Prescribed or estimated times of the waypoints, and the end time of the flight [s].
 
-        The tuple holds arrival and departure of each waypoint, then the end time. The estimated
-        time of the flight from one place to the next is twice the least possible time. These times
-        are then scaled to meet prescribed times and limits on the duration.
+        The tuple holds arrival and departure of each waypoint, then the end time. Each flight from
+        one place to the next is estimated as twice its least possible time. These flight times are
+        scaled to meet prescribed times and limits on the duration.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -332,8 +333,9 @@ class Scenario(Part):
     def keeps_yaw(self) -> bool:
         """Whether the plan keeps the heading constant throughout the flight.
 
-        The field `mission.yaw` decides, if given. Otherwise the heading is constant if the power
-        model is `momentum`, the attitude kinematics are exact, and the mission prescribes no turn.
+        If the field `mission.yaw` is given, it decides. Otherwise the heading is constant if the
+        power model is `momentum`, the field `vehicle.attitude` is ``euler``, and all prescribed
+        headings are equal.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -543,7 +545,7 @@ def _in_declared_units(
 ) -> tuple[ScenarioSource, Rewritten]:
     """Convert values in other units, such as degrees, in tables and overrides to SI units.
 
-    The second result records conversions and errors; its attribute `tables` is empty.
+    The second result records conversions and errors, without tables.
     """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

@@ -1,11 +1,10 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
-The key `from` of a wind is the direction from which the wind blows, in degrees clockwise from
-north. It becomes `wind.direction`, the direction toward which the wind blows, in radians
-counter-clockwise from +x (east). With `wind.from = 270`, a west wind, the wind blows toward +x.
+The key `from` of a wind is the direction from which it blows, in degrees clockwise from north. It
+becomes `wind.direction`, toward which the wind blows, in radians counter-clockwise from +x (east).
+With `wind.from = 270`, a west wind, the wind blows toward +x.
 
-A place on earth, `{ latitude, longitude, altitude }`, becomes a position `[x, y, z]` in metres. The
-field `mission.origin` is the place of x = y = z = 0 on earth.
+A place `{ latitude, longitude, altitude }` becomes a position `[x, y, z]` in metres.
 """
 
 from collections.abc import Iterator, Mapping
@@ -40,30 +39,8 @@ def in_plain_terms(
 ) -> dict[str, Any]:
     """Convert places from latitude and longitude to metres, and `wind.from` to `wind.direction`.
 
-    Parameters
-    ----------
-    tables : dict
-        Tables of the scenario with values of the library.
-    own : mapping
-        Tables that the user wrote, without values of the library. They show whether the user gave a
-        field in both notations.
-    provenance : dict
-        Origin of each value by dotted path. Origins of converted fields are added, and those of the
-        keys `from` removed.
-    source : str
-        Beginning of error messages: the name of the scenario.
-
-    Returns
-    -------
-    dict
-        The tables with x, y, z in place of latitude and longitude, and `direction` in place of
-        `from`.
-
-    Raises
-    ------
-    ScenarioError
-        If a field is given in both notations, or if an angle or a place is not valid. The message
-        of the error is a single line.
+    `own` holds the tables without values of the library. The origins in `provenance` are changed,
+    too. Raises ScenarioError if a value is not valid, or is given in both notations.
     """
     found = list(_in_other_notation(tables, ()))
     is_on_earth = any(isinstance(value, Mapping) for _, value in found)
@@ -76,6 +53,7 @@ def in_plain_terms(
             said = provenance.get(spell((*path, _LATITUDE)), "")
         else:
             target = (*path[:-1], _DIRECTION)
+            # A direction from the library does not count as a second notation.
             _refuse_both(own, path, target, source)
             tables = set_value(_without(tables, path), target, _towards(value, where))
             said = provenance.pop(spell(path), "")
@@ -113,17 +91,7 @@ def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, 
 def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin | None:
     """Return the position of x = y = z = 0 on earth; None if the scenario gives no such position.
 
-    Parameters
-    ----------
-    tables : mapping
-        Tables of the scenario.
-    source : str
-        Beginning of error messages: the name of the scenario.
-
-    Raises
-    ------
-    ScenarioError
-        If the position is not valid. The message of the error is a single line.
+    Raises ScenarioError, which begins with `source`, if the position is not valid.
     """
     written = value_at(tables, *_ORIGIN)
     if written is None:

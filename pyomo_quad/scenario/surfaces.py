@@ -1,11 +1,10 @@
 """Smooth surfaces above and below terrain that is given on a grid.
 
-Between the points of the grid the ground is bilinear. A `Surface` is a cubic spline that is nowhere
-below the ground, or nowhere above it.
+Between the grid points the ground is bilinear. A `Surface` is a cubic spline nowhere below the
+ground, or nowhere above it.
 
-A surface above the ground begins as the cubic spline through the heights. Its B-spline coefficients
-are then raised until, in every cell, all Bernstein coefficients of (spline minus ground) are at
-least 0. A surface below the ground is computed with all heights multiplied by -1. Proof: see
+B-spline coefficients are raised until all Bernstein coefficients of (spline minus ground) are at
+least 0 in every cell. For a surface below the ground, all heights are multiplied by -1. Proof: see
 docs/theory/homing.md.
 """
 
@@ -38,16 +37,16 @@ _SHARES = (*(0.3,) * 10, 1.0)
 class Surface:
     """Cubic spline surface above or below the terrain, from which height limits are measured.
 
-    The surface is the not-a-knot spline through its heights at the points of the grid.
+    It is the not-a-knot spline through its heights at the grid points.
 
     Attributes
     ----------
     x, y : ndarray
-        Points of the grid [m], at least four each.
+        Grid points [m], at least four each.
     heights : ndarray, shape (len(x), len(y))
-        Heights of the surface at the points of the grid [m].
+        Heights of the surface at the grid points [m].
     excess : float
-        Upper bound on the vertical distance between surface and ground, over the whole grid [m].
+        Upper bound on the vertical distance between surface and ground [m].
     """
 
     x: FloatArray
@@ -56,20 +55,10 @@ class Surface:
     excess: float
 
     def at(self, places: ArrayLike) -> FloatArray:
-        """Return the height of the surface at places [m].
+        """Return the height of the surface at places x, y [m].
 
-        Outside the grid, where the ground is not known, the result is the height at the nearest
-        place on the border of the grid.
-
-        Parameters
-        ----------
-        places : array_like, shape (..., 2) or (..., 3)
-            Positions x, y and optionally z [m]. The coordinate z is ignored.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Heights.
+        The coordinate z is ignored. Outside the grid, the result is the height at the nearest place
+        on its border.
         """
         from scipy.interpolate import NdBSpline  # noqa: PLC0415  see `_through`
 
@@ -86,21 +75,10 @@ class Surface:
 def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Surface:
     """Construct a smooth surface that is nowhere below the ground, or nowhere above it.
 
-    Parameters
-    ----------
-    x, y : array_like
-        Points of the grid [m], ascending.
-    heights : ndarray, shape (len(x), len(y))
-        Heights of the ground at the points [m].
-    side : int
-        1 for a surface that is nowhere below the ground, -1 for a surface that is nowhere above it.
-
-    Returns
-    -------
-    Surface
-        A cubic spline, with an upper bound on its vertical distance from the ground. Its grid is
-        refined along an axis with fewer than four points.
+    `side` is 1 for a surface nowhere below the ground, and -1 for one nowhere above it. `x` and `y`
+    ascend; `heights` of the ground have shape (len(x), len(y)) [m].
     """
+    # The grid of the surface is refined along an axis with fewer than four points.
     x, y, ground = _with_enough_points(np.array(x), np.array(y), heights)
     knots, coefficients = _through(x, y, side * ground)
     along_x, along_y = (_Axis.of(*pair) for pair in zip((x, y), knots, strict=True))
@@ -127,24 +105,8 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
 def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: ArrayLike) -> FloatArray:
     """Return, for each point of a grid, a height that clears the terrain on a straight flight home.
 
-    Between the points, the result is to be interpolated bilinearly. At each place, it is then at
-    least as high as the highest ground on the straight line from there to the home. Derivation:
-    docs/theory/homing.md, eq. (7).
-
-    Parameters
-    ----------
-    x, y : array_like
-        Points of the grid [m], ascending.
-    heights : ndarray, shape (len(x), len(y))
-        Heights of the ground at the points [m]; between them the ground is bilinear.
-    home : array_like
-        Coordinates x and y of the place to which the vehicle returns [m]. Further coordinates are
-        ignored.
-
-    Returns
-    -------
-    ndarray, shape (len(x), len(y))
-        Heights at the points of the grid [m].
+    At each place, the bilinear interpolation of the result [m] is at least as high as all ground on
+    the straight line to `home`. Derivation: docs/theory/homing.md, eq. (7).
     """
     from scipy.ndimage import maximum_filter  # noqa: PLC0415  see `_through`
 
@@ -214,7 +176,10 @@ def _through(
 
 @dataclass(frozen=True, kw_only=True)
 class _Axis:
-    """Matrices that evaluate a spline surface and the ground along one grid axis with n points."""
+    """Matrices that evaluate a spline surface and the ground along one axis of a grid.
+
+    The number of grid points on the axis is n.
+    """
 
     # From n spline coefficients to four Bernstein coefficients per cell, shape (4 (n - 1), n).
     cubic: Any

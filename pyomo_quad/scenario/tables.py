@@ -514,20 +514,10 @@ DERIVED_LIMITS = ("thrust_max", "roll_moment_max", "pitch_moment_max", "yaw_mome
 
 
 def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]:
-    """Return the thrust and moment limits that follow from the rotors' largest speed.
+    """Return the thrust and moment limits that follow from the largest rotor speed [rad/s].
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Number, places and coefficients of the rotors.
-    rotor_speed_max : float
-        Largest rotor speed [rad/s].
-
-    Returns
-    -------
-    dict
-        Each limit by the name of its field: `thrust_max` [N], and `roll_moment_max`,
-        `pitch_moment_max` and `yaw_moment_max` [N m], after eq. (10) and (7) of Yacef et al.
+    `thrust_max` is in N, and the limits of roll, pitch and yaw moment are in N m. Source: eq. (10)
+    and (7) of Yacef et al.
     """
     rotor_thrust = vehicle.thrust_coefficient * rotor_speed_max**2
     rotor_drag_torque = vehicle.drag_torque_coefficient * rotor_speed_max**2

@@ -42,35 +42,16 @@ _LOWEST, _HIGHEST, _ = GLOBE["altitude"]
 
 
 def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
-    """Read and check the heights of the ground on a grid.
+    """Read and check the heights of the ground on a grid, from NetCDF, CSV or Parquet.
 
-    Parameters
-    ----------
-    file : Path
-        NetCDF with names and units of the CF conventions, or a CSV or Parquet table with one row
-        for each place.
-    place : str
-        Beginning of error messages: the scenario field that names the file.
-    origin : GeodeticOrigin, optional
-        Position of x = y = z = 0 on earth. If it is given, the heights in the file are altitudes
-        above the sea, otherwise heights above z = 0.
-
-    Returns
-    -------
-    dict
-        Fields of the table `airspace.ground`: grid points `x` and `y` [m], and `heights` of the
-        ground above z = 0 [m], as text (see `packed`).
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, has no rectilinear grid, has too many heights, or has a missing
-        or implausible height. The message is a single line.
+    The result holds the fields of `airspace.ground`. With `origin`, the file has altitudes above
+    the sea. Raises ScenarioError, which begins with `place`, if the file is not valid.
     """
     read = read_gridded(file, place, _HEIGHT)
     field = in_metres(read, origin, place)
     x, y = (field.axes[axis] for axis in PLACE_AXES)
     check_axes(field.axes, place)
+    # The file has altitudes above the sea if `origin` is given, else heights above z = 0.
     (heights,) = field.components
     if heights.size > _MOST_HEIGHTS:
         refuse(

@@ -22,13 +22,13 @@ class Rewritten:
     Attributes
     ----------
     tables : dict
-        Tables in which the field in SI units replaces each key for another unit.
+        Tables in SI units.
     spellings : dict
-        Key and value as in the file, by the path of the converted field, for error messages.
+        Key and value as in the file, such as ``limits.roll_max_deg = 30``, by path of the field.
     complaints : list of str
         A message for each key that cannot be converted.
     unread : list
-        Paths of the fields that have no value because their key could not be converted.
+        Paths of the fields without a value because of an error.
     """
 
     tables: dict[str, Any]
@@ -40,19 +40,7 @@ class Rewritten:
 def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewritten:
     """Convert all values that nested tables give in other units, such as degrees, to SI units.
 
-    A key such as `roll_max_deg` stands for the field `roll_max` in degrees.
-
-    Parameters
-    ----------
-    tables : mapping
-        Tables as read from a file.
-    model : type of BaseModel
-        Pydantic class that declares the fields, and the keys for other units.
-
-    Returns
-    -------
-    Rewritten
-        Tables with all values in SI units, and a record of the conversions and errors.
+    The class `model` declares the fields, and the keys for other units.
     """
     rewritten = Rewritten(tables={})
     rewritten.tables.update(_table(tables, model, (), rewritten))
@@ -64,20 +52,8 @@ def paths_in_declared_units(
 ) -> tuple[dict[FieldPath, Any], Rewritten]:
     """Convert all overrides whose values are in other units, such as degrees, to SI units.
 
-    Parameters
-    ----------
-    assignments : mapping
-        New value of each overridden field, by path. For a value in another unit, the path ends with
-        a key such as `roll_max_deg`.
-    model : type of BaseModel
-        Pydantic class that declares the fields, and the keys for other units.
-
-    Returns
-    -------
-    converted : dict
-        The new values in SI units, by the path of the field. Overrides with errors are left out.
-    record : Rewritten
-        Record of the conversions and errors. Its attribute `tables` is empty.
+    The last key of a path, such as `roll_max_deg`, states the unit. The first result omits
+    overrides with errors. The second result records conversions and errors, without tables.
     """
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():

@@ -128,7 +128,7 @@ class MotorConstants(NamedTuple):
         """Torque constant times voltage constant (speed per voltage), both in SI units.
 
         The product is 1 for every real motor, because the conversion of electrical into mechanical
-        power conserves energy. A larger product would create energy.
+        power conserves energy. A motor with a larger product would create energy.
         """
         return self.torque_constant * self.voltage_constant
 
@@ -360,7 +360,7 @@ class Vehicle(Part):
 
     @property
     def has_own_rotors(self) -> bool:
-        """Whether positions or directions of rotation of the rotors are given for the vehicle.
+        """Whether the scenario gives positions or directions of rotation of the rotors.
 
         The default is four rotors in a cross along body x and y.
         """

@@ -226,7 +226,7 @@ class WindGrid(Part):
         """Wind velocity at the grid points [m/s]; NaN where the wind is missing.
 
         The factor `wind.field_scale` is not applied. The first array axis is the direction (+x, +y
-        and, if known, +z). The further array axes are those of the grid, in the order of `axes`.
+        and, if known, +z). The others are `axes`.
         """
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
@@ -234,9 +234,8 @@ class WindGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's edges by name ("west", "east" and so on).
 
-        A position is (axis, end, coordinate [m]). Axis 0 is x, 1 is y, and 2 is z. The end is -1 at
-        the lower and 1 at the upper end of the axis. The edges "bottom" and "top" exist only if the
-        field has heights.
+        A position is (axis, end, coordinate [m]). Axis 0 is x, 1 is y, 2 is z. The end is -1 at the
+        lower and 1 at the upper end.
         """
         names = (("west", "east"), ("south", "north"), ("bottom", "top"))
         return {
@@ -247,20 +246,10 @@ class WindGrid(Part):
         }
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
-        """Return whether the wind at given places and times is known.
+        """Return whether the wind at given places and times is known, shape (n,).
 
-        Parameters
-        ----------
-        places : array_like, shape (n, 3)
-            Positions x, y, z [m].
-        times : array_like, shape (n,) or ()
-            Times [s] as in the wind field. In these times, the flight starts at `wind.time_offset`.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            True where the place and time are inside the grid and the wind at the nearest grid point
-            is known.
+        The place must be inside the grid, and the wind at the nearest grid point known. `places`
+        have shape (n, 3) [m]. In `times` [s], the flight starts at `wind.time_offset`.
         """
         import numpy as np  # noqa: PLC0415  see `components`
 
@@ -492,22 +481,8 @@ def with_air_density(
 ) -> dict[str, Any]:
     """Scale the vehicle's aerodynamic coefficients to the air density of the scenario.
 
-    Parameters
-    ----------
-    tables : dict
-        Tables of the scenario.
-    before : mapping or None
-        Tables of the original scenario if `tables` is a changed copy of them, None for a new
-        scenario. The coefficients in `tables` are valid at the air density of the original; in a
-        new scenario, at that of sea level.
-    provenance : dict
-        Origin of each value by dotted path. The function changes the origins of scaled values.
-
-    Returns
-    -------
-    dict
-        The tables with scaled coefficients, and with the air density in `power.air_density`. A
-        density that the user gives there for a new scenario is kept.
+    `before` is a stored scenario, whose coefficients are valid at its own air density. Without
+    `before`, they are valid at sea level. The origins in `provenance` are changed.
     """
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:
@@ -520,6 +495,7 @@ def with_air_density(
             tables = set_value(tables, ("vehicle", name), scaled)
             said = provenance.get(spell(("vehicle", name)), "default")
             provenance[spell(("vehicle", name))] = f"{said}, in air of {density:.4g} kg/m^3"
+    # A density that the user gives for a new scenario is kept.
     if provenance.get(spell(_DENSITY), "default") == "default" or before is not None:
         tables = set_value(tables, _DENSITY, density)
         provenance[spell(_DENSITY)] = "air"
@@ -541,24 +517,8 @@ def with_coupling(
 ) -> dict[str, Any]:
     """Set the default of the wind's coupling, the way in which the wind acts on the vehicle.
 
-    If the vehicle has drag coefficients, the wind acts through the drag. Otherwise the wind is an
-    acceleration, as printed in eq. (9) of Yacef et al. A forecast without a coupling gets
-    that of the actual wind.
-
-    Parameters
-    ----------
-    tables : dict
-        Tables of the scenario, with values from the package's library.
-    own : mapping
-        Tables that the user wrote in the scenario and its overrides, without values of the library.
-        They show whether the user has given a coupling for the forecast.
-    provenance : dict
-        Origin of each value by dotted path. The function adds the origins of the couplings.
-
-    Returns
-    -------
-    dict
-        The tables with the coupling of wind and forecast.
+    If the vehicle has drag coefficients, the wind acts through the drag, else as in eq. (9) of
+    Yacef et al. `own` excludes values of the library.
     """
     wind = tables.get("wind")
     if not isinstance(wind, Mapping):
@@ -570,6 +530,7 @@ def with_coupling(
         tables = set_value(tables, ("wind", "coupling"), coupling)
         why = "no drag" if cause is None else f"vehicle.{cause}"
         provenance["wind.coupling"] = f"default: the vehicle has {why}"
+    # A forecast without a coupling gets that of the actual wind.
     forecast = own.get("wind", {}).get("forecast") if "forecast" in wind else None
     if isinstance(forecast, Mapping) and "coupling" not in forecast:
         path: FieldPath = ("wind", "forecast", "coupling")

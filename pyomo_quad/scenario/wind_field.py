@@ -42,29 +42,10 @@ _WIND = Quantity(
 
 
 def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
-    """Read and check a wind field: wind over places, heights and times.
+    """Read and check a wind field [m/s] over places, heights and times from NetCDF, CSV or Parquet.
 
-    Parameters
-    ----------
-    file : Path
-        NetCDF with names and units of the CF conventions, or a CSV or Parquet table with one row
-        for each place and time.
-    place : str
-        Beginning of error messages: the scenario field that names the file.
-    origin : GeodeticOrigin, optional
-        Position of x = y = z = 0 on earth, for a grid by latitude and longitude or with altitudes.
-
-    Returns
-    -------
-    dict
-        Fields of the table `wind.grid`: grid points `x`, `y` and, if the file has them, `z` [m] and
-        `times` [s], and wind velocities `speeds` [m/s], as text (see `packed`).
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, or has no rectilinear grid, no wind or an implausibly strong
-        wind. The message is a single line.
+    The result holds the fields of `wind.grid`. A grid on earth needs `origin`. Raises
+    ScenarioError, which begins with `place`, if the file is not valid.
     """
     axes, components, *_ = in_metres(read_gridded(file, place, _WIND), origin, place)
     check_axes(axes, place)

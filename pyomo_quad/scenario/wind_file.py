@@ -30,37 +30,16 @@ _Rows = list[tuple[float, ...]]
 def read_wind_file(
     file: Path, where: str, longest: tuple[str, object], time_offset: object
 ) -> dict[str, tuple[float, ...]]:
-    """Read and check a measured wind over time, height or both.
+    """Read and check a measured wind over time, height or both, from a CSV file.
 
-    Parameters
-    ----------
-    file : Path
-        CSV file with the columns `time_s`, `wind_x_m_per_s` and `wind_y_m_per_s`. A column
-        `height_m` may follow or replace the time column; every time must have the same heights.
-    where : str
-        Beginning of error messages: the scenario field that names the file.
-    longest : tuple of str and object
-        Dotted path and value [s] of the scenario field that limits the duration of the mission.
-    time_offset : object
-        Time in the file [s] at which the mission starts, as written by the user. If it or the value
-        in `longest` is not a number, the check that the wind covers the mission is skipped.
-
-    Returns
-    -------
-    dict
-        `times` [s], `wind_x` and `wind_y` [m/s] and, if the file has heights, `heights` [m]. The
-        winds are listed time by time, and at each time by rising height. `times` is empty if the
-        file has no times.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, has unsorted, missing, non-finite or implausible numbers, has a
-        gap in time, or does not cover the mission.
+    `longest` is the field that limits the mission's duration, with its value [s]. The mission
+    starts at `time_offset` [s]. Raises ScenarioError, which begins with `where`, if the wind is
+    invalid.
     """
     place = f"{where} = {shown(file.name)}"
     keys, rows = _read_rows(file, place)
     columns = dict(zip((*keys, "wind_x", "wind_y"), zip(*rows, strict=True), strict=True))
+    # The winds are listed time by time, and at each time by rising height.
     series = {"times": (), "wind_x": columns["wind_x"], "wind_y": columns["wind_y"]}
     if HEIGHT_COLUMN in keys:
         series["heights"] = _heights(columns, place)
@@ -69,6 +48,7 @@ def read_wind_file(
     series["times"] = columns[_TIME_COLUMN][:: len(series.get("heights", "1"))]
     _check_times(series["times"], place)
     field, duration = longest
+    # Both values are as written by the user, and are validated later.
     if isinstance(duration, int | float) and isinstance(time_offset, int | float):
         check_cover(series["times"], time_offset, field, duration, place)
     return series
@@ -120,20 +100,8 @@ def check_cover(
 ) -> None:
     """Raise a ScenarioError if a measured wind does not cover the whole mission.
 
-    Parameters
-    ----------
-    times : sequence of float
-        Times of the measured wind [s], ascending.
-    start : float
-        Time in the measured wind [s] at which the mission starts.
-    field : str
-        Dotted path of the scenario field that limits the duration of the mission. The error message
-        suggests a smaller value of this field.
-    duration : float
-        Longest duration of the mission [s].
-    place : str
-        Beginning of the error message: the scenario field that names the wind file, and the name of
-        the file.
+    `times` and `start` are times in the measured wind [s]. `field` is the path of the field that
+    limits the duration. The message begins with `place`.
     """
     if times[0] > start or times[-1] - start < duration:
         refuse(

@@ -28,18 +28,8 @@ _CAUSES_ABREAST = 3
 def draw_causes(study: OutsideStudy) -> "Figure":
     """Draw the distance of simulated flights from their plan over time, without and with feedback.
 
-    Each line is one flight in RotorPy, named by the cause of its distance (see `CAUSES`), such as a
-    difference between RotorPy's model and the package's model.
-
-    Parameters
-    ----------
-    study : OutsideStudy
-        Results of the flights.
-
-    Returns
-    -------
-    Figure
-        The drawing.
+    Each line is one flight in RotorPy, named by the cause of its distance, such as a difference
+    between the models (see `CAUSES`).
     """
     lines = ceil(len(CAUSES) / _CAUSES_ABREAST)
     figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=lines * LEGEND_COLUMNS)
@@ -61,17 +51,7 @@ def draw_causes(study: OutsideStudy) -> "Figure":
 
 
 def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = Figures.SVG) -> None:
-    """Write the report of missions flown in the simulator RotorPy: table, figure, `report.md`.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder that receives the files.
-    study : OutsideStudy
-        Results of the flights.
-    figures : Figures, optional
-        Which figures to draw, and in which file formats.
-    """
+    """Write the report of missions flown in the simulator RotorPy: table, figure, `report.md`."""
     drawing = Drawing(
         name="causes",
         title="Over time",

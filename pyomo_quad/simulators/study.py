@@ -1,11 +1,10 @@
 """Study of missions flown in the simulator RotorPy, and of the causes of differences.
 
-Each mission is flown in two simulation models: the package's own (the "declared" vehicle) and
-RotorPy's. In both models there are flights under the package's controller and flights without
-feedback. RotorPy's model also has flights under its controller SE3.
+Each mission is flown in the package's own model (the "declared" vehicle) and in RotorPy's model. In
+both, flights have the package's controller or no feedback. RotorPy also flies its controller SE3.
 
 RotorPy's model differs in several features, such as rotors without gyroscopic moment. Each feature
-is changed alone, to find its part in the difference between the flights.
+is changed alone, to find its effect on the flight.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -84,10 +83,10 @@ Track = tuple[np.ndarray, np.ndarray]
 class Plant(StrEnum):
     """Simulated vehicle of a flight: the package's own model, or a variant of RotorPy's model.
 
-    `DECLARED` is the package's model, `AS_IT_COMES` RotorPy with its defaults. `ROTORPY` is
-    RotorPy, set to the equations of `DECLARED` except for two: its attitude equations are always
-    exact, and its linear drag acts at the rotors. Each other member differs from `ROTORPY` in the
-    feature that its value names.
+    `DECLARED` is the package's model, `AS_IT_COMES` RotorPy with its defaults. `ROTORPY` is RotorPy
+    with the equations of `DECLARED`, except that its attitude equations are always exact and its
+    linear drag acts at the rotors. Each other member differs from `ROTORPY` in the feature that its
+    value names.
     """
 
     DECLARED = "declared"
@@ -168,14 +167,12 @@ class OutsideStudy:
     Attributes
     ----------
     flights : DataFrame
-        One row for each flight, in RotorPy or in the package's own model, with the columns of
-        `OutsideColumn`.
+        One row for each flight, columns of `OutsideColumn`.
     tracks : mapping
-        Distance from the plan over time, for each flight that follows a plan: an array of times [s]
-        and an array of distances [m]. The key is the triple of mission, vehicle and controller.
-        Flights that went out of control are left out.
+        Times [s] and distances from the plan [m] of each flight that follows a plan, by mission,
+        vehicle and controller. Flights out of control are left out.
     lag_s : float
-        Time constant of the motors in RotorPy, for the vehicle of Yacef et al. [s].
+        Time constant of RotorPy's motors for the vehicle of Yacef et al. [s].
     """
 
     flights: pd.DataFrame
@@ -185,31 +182,10 @@ class OutsideStudy:
     def row(
         self, case: str, plant: Plant, controller: str, followed: Reference = Reference.PLAN
     ) -> dict[str, Any]:
-        """Return the table row of one flight of the study.
+        """Return the table row of one flight of the study, by column name.
 
-        The row has no energy if the flight went out of control.
-
-        Parameters
-        ----------
-        case : str
-            Name in the column "case": a key of the mapping of missions `CASES` or, for RotorPy's
-            own vehicles, the name of the vehicle's parameter set.
-        plant : Plant
-            Simulated vehicle.
-        controller : str
-            Name of the controller in the table, such as "adaptive" or "se3".
-        followed : Reference, optional
-            Reference trajectory of the flight; by default the plan.
-
-        Returns
-        -------
-        dict
-            Values of the row by column name.
-
-        Raises
-        ------
-        IndexError
-            If the table has no such flight.
+        `case` is a key of `CASES` or a parameter set of RotorPy. A flight that went out of control
+        has no energy. IndexError is raised if there is no such flight.
         """
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
@@ -218,17 +194,16 @@ class OutsideStudy:
 class Arrivals(NamedTuple):
     """Counts of a controller's flights in RotorPy, by their outcome.
 
-    A flight is confirmed if a simulation by a second integrator gives the same result. A flight has
-    arrived if it ends near the goal and nearly at rest.
+    A flight is confirmed if a simulation by a second integrator gives the same result.
 
     Attributes
     ----------
     arrived : int
-        Number of flights that are confirmed and have arrived.
+        Confirmed flights that end near the goal and nearly at rest.
     confirmed : int
-        Number of all confirmed flights, with or without arrival.
+        All confirmed flights.
     unconfirmed : int
-        Number of flights that are not confirmed, including those that went out of control.
+        Flights that are not confirmed, or went out of control.
     """
 
     arrived: int
@@ -239,15 +214,7 @@ class Arrivals(NamedTuple):
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
     """Count the flights of one controller in RotorPy, by their outcome.
 
-    A flight is confirmed if a simulation by a second integrator gives the same result. An arrival
-    at the goal counts only if the flight is confirmed.
-
-    Parameters
-    ----------
-    flights : DataFrame
-        Table of the study, `OutsideStudy.flights`.
-    controller : str
-        Name of the controller.
+    `flights` is the table `OutsideStudy.flights`.
     """
     is_own = flights[OutsideColumn.CONTROLLER] == controller
     outside = flights[is_own & (flights[OutsideColumn.PLANT] != Plant.DECLARED)]
@@ -349,16 +316,7 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
     """Simulate all flights of the comparison with RotorPy.
 
     In the table of flights, a flight that goes out of control has a row without numbers.
-
-    Parameters
-    ----------
-    planner : Planner, optional
-        Planner of the missions; by default a new one.
-
-    Raises
-    ------
-    ScenarioError
-        If RotorPy is not installed.
+    ScenarioError is raised if RotorPy is not installed.
     """
     planner = planner or Planner()
     paper = load_scenario(shipped_scenarios()["paper"])
@@ -519,8 +477,8 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights; yield each flight's table row, its description, and the flight itself.
 
-    The flight is None if it went out of control. The row contains differences from the declared
-    vehicle's flight, which must come earlier.
+    The flight is None if it went out of control. Each flight is compared with the declared
+    vehicle's flight, which must precede it in `flights`.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:

@@ -1,9 +1,11 @@
 """Vehicle files made from parameter sets of the simulator RotorPy.
 
-In RotorPy the rotors are placed diagonally, two ahead and two behind. In the package they are on
-the body axes x and y. The parameters are therefore converted to body axes that are turned by 45
-degrees. In these, the first rotor is ahead and the fourth to the left. If the moments of inertia
-Ixx and Iyy differ, a product of inertia of half their difference arises, which is neglected.
+RotorPy's rotors are placed diagonally, the package's rotors on the body axes x and y. The
+parameters are converted to body axes turned by 45 degrees: RotorPy's first rotor is then ahead, its
+fourth to the left.
+
+If Ixx and Iyy differ, the turned axes have a product of inertia of half their difference, which is
+neglected.
 """
 
 from math import hypot
@@ -31,15 +33,8 @@ class Said(NamedTuple):
 def rotorpy_parameters(name: str) -> dict[str, Any]:
     """Return a parameter set of RotorPy by name, in RotorPy's own keys and units.
 
-    Parameters
-    ----------
-    name : str
-        Name of the set: "hummingbird" or "crazyflie".
-
-    Raises
-    ------
-    ScenarioError
-        If RotorPy is not installed or has no set of this name.
+    `name` is "hummingbird" or "crazyflie". ScenarioError is raised for any other name, or if
+    RotorPy is not installed.
     """
     if name not in NAMES:
         raise ScenarioError(f"NAME = {shown(name)}; must be one of {', '.join(NAMES)}.")
@@ -47,23 +42,10 @@ def rotorpy_parameters(name: str) -> dict[str, Any]:
 
 
 def vehicle_fields(name: str) -> dict[str, Said]:
-    """Convert a parameter set of RotorPy to the fields of a vehicle file.
+    """Convert RotorPy's parameter set "hummingbird" or "crazyflie" to fields of a vehicle file.
 
-    Parameters
-    ----------
-    name : str
-        Name of the parameter set: "hummingbird" or "crazyflie".
-
-    Returns
-    -------
-    dict
-        Value and source of each field. The key is the field's dotted path in the vehicle file, such
-        as "fields.mass" or "limits.rotor_speed_max".
-
-    Raises
-    ------
-    ScenarioError
-        If RotorPy is not installed or has no set of this name.
+    The keys of the result are dotted paths in the vehicle file, such as "fields.mass".
+    ScenarioError is raised for any other `name`, or if RotorPy is not installed.
     """
     held = rotorpy_parameters(name)
     x, y, _ = held["rotor_pos"]["r1"]
@@ -103,17 +85,8 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 def vehicle_file(name: str) -> str:
     """Return the text of a vehicle file (TOML), made from a parameter set of RotorPy.
 
-    Each number is written with its source.
-
-    Parameters
-    ----------
-    name : str
-        Name of the set: "hummingbird" or "crazyflie".
-
-    Raises
-    ------
-    ScenarioError
-        If RotorPy is not installed or has no set of this name.
+    Each number has its source. `name` is "hummingbird" or "crazyflie". ScenarioError is raised for
+    any other name, or if RotorPy is not installed.
     """
     lines = [
         f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",

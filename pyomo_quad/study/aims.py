@@ -1,9 +1,8 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
-The energy is measured at the terminals of the battery. The charge also pays for the loss in the
-internal resistance. A varying power causes more loss than a constant power of the same mean. The
-two objectives may therefore have different optima. The field `mission.aim` selects the objective of
-a plan.
+The energy is measured at the terminals of the battery. The charge also covers the loss in the
+internal resistance, which is larger for a varying power than for a constant power of the same mean.
+The two optima may therefore differ. The field `mission.aim` selects the objective of a plan.
 """
 
 from typing import TYPE_CHECKING
@@ -58,40 +57,23 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The solve for the other plan starts from the given plan, keeps its mesh, and stops after 90
-    seconds of processor time.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan of a scenario whose objective is least energy or least charge.
-    planner : Planner
-        Solves the scenario with the other objective.
-    progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve.
-
-    Returns
-    -------
-    DataFrame
-        One row for each of the two plans, the plan of least energy first, with the columns
-        `AimColumn`. The table is empty in each of these cases:
-
-        - The given plan is not verified (confirmed by simulation to the requested accuracy).
-        - The objective of the given plan is the least time.
-        - The solve for the other objective fails, is stopped by `progress`, or ends at a local
-          optimum that is worse in that objective than the given plan.
-        - The vehicle model is a user's own.
-        - The attitude equations are those of Yacef et al. (`vehicle.attitude` is "paper").
+    The rows have the columns `AimColumn`, the plan of least energy first. The table is empty if the
+    comparison does not apply, or the other solve finds no better plan.
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
+    # No comparison for a plan that is not confirmed by simulation, a user's own vehicle model, or
+    # the attitude equations of Yacef et al.
     if not plan.is_verified or scenario.model is not None or is_of_paper:
         return AimColumn.of_rows(())
+    # Neither for the objective of least time.
     if scenario.mission.aim not in _AIMS:
         return AimColumn.of_rows(())
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
     with Deadline(scenario, progress, longest_s=_LONGEST_S) as brief:
+        # The solve starts from the given plan and keeps its mesh.
         found = planned_alike(plan, planner, brief, aim=other)
+    # A local optimum may be worse in its own objective than the given plan.
     if not is_optimum(found) or not _is_better(found, plan):
         return AimColumn.of_rows(())
     rows = [
@@ -128,17 +110,8 @@ def charge_beyond_least(aims: "pd.DataFrame") -> float:
 def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
     """Return a warning if the plan of least energy draws clearly more charge than necessary.
 
-    Parameters
-    ----------
-    aims : DataFrame
-        Plans of least energy and of least charge for one mission, from `energy_and_charge`; may be
-        empty.
-
-    Returns
-    -------
-    tuple of str
-        The warning, or empty. There is a warning if the result of `charge_beyond_least` exceeds
-        `DISAGREEMENT`, a constant of this module.
+    `aims` is a table from `energy_and_charge`. The result is empty if the table is empty, or if
+    `charge_beyond_least` is at most `DISAGREEMENT`.
     """
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()

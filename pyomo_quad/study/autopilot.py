@@ -1,10 +1,11 @@
 """Autopilot baseline on straight legs: its simulated flight, and tuning of its settings.
 
-A leg is the straight line between two waypoints. An autopilot flies all legs with the same limits
-on speed, acceleration and jerk: its settings. The module `flight.routes` computes this motion.
+A leg is the straight line between two waypoints. An autopilot's settings are its limits on speed,
+acceleration and jerk, which are equal on all legs. The module `flight.routes` computes the motion
+along the legs.
 
-The energy saving of a plan is measured against an autopilot. For a fair comparison, its settings
-are tuned for least energy by Nelder and Mead's method.
+A plan's energy saving is measured against an autopilot. For a fair comparison, the settings
+are tuned for least energy (Nelder-Mead).
 """
 
 from dataclasses import dataclass, replace
@@ -84,8 +85,8 @@ class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
     The flight is simulated at reduced accuracy. If the vehicle does not arrive, `duration_s` is the
-    whole simulated time. `energy_J` is then the energy of this time alone. The energy to the exact
-    goal state is also missing without a plan or with a wind forecast.
+    whole simulated time. `energy_J` then leaves out the energy from the end of the flight to the
+    exact goal state. The same holds without a plan, or if the wind has a forecast.
     """
 
     settings: CruiseSettings
@@ -114,9 +115,8 @@ class Tuning:
     flight : Flight
         Flight with the best settings, to full accuracy.
     settings : CruiseSettings
-        The best settings: limits on speed, acceleration and jerk. If the legs are too short to
-        reach the limit on speed or acceleration, the largest value that the flight reaches replaces
-        the limit.
+        The best settings. If the legs are too short to reach the limit on speed or acceleration,
+        the largest value that the flight reaches replaces the limit.
     tried : tuple of TriedCruise
         All settings that the search tried, in the order tried.
     """
@@ -129,40 +129,17 @@ class Tuning:
 def fly_cruise(
     scenario: Scenario, settings: CruiseSettings, plan: Plan | None, planner: Planner
 ) -> Flight:
-    """Simulate a mission as an autopilot flies it, straight between waypoints.
+    """Simulate a mission as an autopilot flies it, in the actual wind.
 
-    After the end of the reference trajectory, the vehicle hovers at the goal until it has arrived,
-    for at most `SETTLINGS_S[-1]` seconds. If the mission has a fixed duration, the flight lasts at
-    least for this duration.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission. Flights are simulated in its actual wind, not in a forecast.
-    settings : CruiseSettings
-        Limits on speed, acceleration and jerk.
-    plan : Plan or None
-        Plan whose costates give an estimate of the energy from the end of the flight to the exact
-        goal state; None for no estimate.
-    planner : Planner
-        Holds the compiled equations of the vehicle.
-
-    Returns
-    -------
-    Flight
-        The simulated flight under the controller.
-
-    Raises
-    ------
-    ScenarioError
-        If keep-out zones block the route to a waypoint, or all places of the mission are equal.
-    SolveError
-        If the flight gets out of control.
+    At the goal the vehicle hovers until it arrives, for at most `SETTLINGS_S[-1]` seconds.
+    ScenarioError is raised if there is no route, SolveError if the flight gets out of control.
     """
     longest, dynamics = _with_longest_wait(scenario, settings, planner)
     flown = fly_reference(longest, Reference.CRUISE, dynamics=dynamics).flown
     end = _end(scenario, settings, flown, dynamics)
     told = cruise_at(scenario.cruising(settings), least_s=end)
+    # With a plan, its costates give an estimate of the energy from the end of the flight to the
+    # exact goal state.
     return fly_baseline(told, Reference.CRUISE, dynamics=vehicle_flown(planner, told), plan=plan)
 
 
@@ -207,35 +184,14 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 
 
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
-    """Tune speed, acceleration and jerk of an autopilot for least energy, and fly the result.
+    """Tune an autopilot for least energy, and fly the result.
 
-    The search simulates at reduced accuracy. Its four best settings are flown at full accuracy,
-    best first. The result is the first of these flights that arrives within the limits.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission. Flights are simulated in its actual wind, not in a forecast.
-    plan : Plan or None
-        Plan whose costates give an estimate of the energy from the end of each flight to the exact
-        goal state; None for no estimate.
-    planner : Planner
-        Holds the compiled equations of the vehicle.
-
-    Returns
-    -------
-    Tuning
-        Best flight, its settings (limits on speed, acceleration and jerk), and all settings tried.
-
-    Raises
-    ------
-    ScenarioError
-        If keep-out zones block the route to a waypoint, if all places of the mission are equal, or
-        if each flight with the four best settings breaks a limit or misses the goal.
-    SolveError
-        If a flight at full accuracy gets out of control.
+    ScenarioError is raised if there is no route, or no flight with one of the four best settings
+    arrives within the limits. SolveError is raised if one of these flights gets out of control.
     """
     tried = _search(scenario, plan, planner)
+    # The search simulates at reduced accuracy. Its best settings are flown at full accuracy, and
+    # the first flight that arrives within the limits is taken.
     for one in sorted(tried, key=lambda one: one.cost_J)[:_CONFIRMED]:
         flight = fly_cruise(scenario, one.settings, plan, planner)
         is_good = is_comparable(flight) if plan is not None else not flight.broken_limits

@@ -4,8 +4,8 @@ On one charge, each flight starts with the state of charge, relaxation voltage a
 the battery has at the end of the flight before it. The battery neither rests between flights nor
 ages.
 
-The flights on one charge end when the next flight has no plan. For example, the flight would leave
-less charge than the reserve, or the voltage would fall below its limit.
+A charge ends when the next flight has no plan, for example because it would leave less charge than
+the reserve.
 """
 
 from collections.abc import Iterator, Sequence
@@ -57,19 +57,18 @@ class CampaignColumn(TableColumn):
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignFlight:
-    """One flight of a campaign, a series of missions repeated on one or more battery charges.
+    """One flight of a campaign.
 
     Attributes
     ----------
     charge : int
-        Number of the battery charge that the flight uses, counted from 1.
+        Number of the battery charge that the flight uses, from 1.
     number : int
-        Number of the flight on this battery charge, counted from 1.
+        Number of the flight on this charge, from 1.
     plan : Plan
         Plan of the flight.
     charge_at_start, charge_at_end : float
-        State of charge of the battery at the start and at the end of the flight, in per cent of the
-        capacity.
+        State of charge at the start and at the end of the flight [percent].
     lowest_voltage_V : float
         Lowest voltage of the battery during the flight.
     """
@@ -89,15 +88,14 @@ class Campaign(Summarised):
     Attributes
     ----------
     missions : tuple of Scenario
-        Missions, flown in this order, again and again. The mission that had no plan on one charge
-        comes first on the next charge.
+        Missions, flown in this order, again and again.
     charges : int
         Number of battery charges.
     flights : tuple of CampaignFlight
         All flights, in order.
     endings : tuple of str
-        For each battery charge, the reason in words why its flights ended: why the next flight had
-        no plan, or that the number of flights reached `MOST_FLIGHTS`.
+        Reason why the flights on each charge ended: why the next flight had no plan, or
+        `MOST_FLIGHTS` flights were flown.
     """
 
     missions: tuple[Scenario, ...]
@@ -136,29 +134,10 @@ class Campaign(Summarised):
 def fly_campaign(
     missions: Sequence[Scenario], planners: Sequence[Planner], *, charges: int = 1
 ) -> Campaign:
-    """Plan missions one after the other until the battery allows no further flight.
+    """Plan missions in turn, again and again, until the battery allows no further flight.
 
-    Parameters
-    ----------
-    missions : sequence of Scenario
-        Missions with the same battery, repeated in this order. On each new battery charge, the
-        first flight starts with the initial state of charge of the first mission. It flies the
-        mission that had no plan on the charge before.
-    planners : sequence of Planner
-        For each mission, a planner that solves it.
-    charges : int, default 1
-        Number of battery charges to use up.
-
-    Returns
-    -------
-    Campaign
-        All flights, and the reason why the flights on each charge ended.
-
-    Raises
-    ------
-    ScenarioError
-        If the missions have different batteries, or if a mission takes its equations from a user's
-        own Python function (scenario field `model`).
+    `planners` has one planner for each mission. ScenarioError is raised if the missions have
+    different batteries, or if a mission has a user's own model (scenario field `model`).
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))
@@ -166,8 +145,9 @@ def fly_campaign(
     flights: list[CampaignFlight] = []
     endings: list[str] = []
     for charge in range(1, charges + 1):
-        # A recharged battery has rested: relaxation voltage and temperature start as in the
-        # scenario.
+        # A recharged battery has the initial state of charge of the first mission. It has rested:
+        # relaxation voltage and temperature start as in the scenario. The first flight is the
+        # mission that had no plan on the charge before.
         left = {"battery.initial_state_of_charge": missions[0].battery.initial_state_of_charge}
         for number in range(1, MOST_FLIGHTS + 1):
             present = missions[turn].with_values(left)

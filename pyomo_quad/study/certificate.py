@@ -42,31 +42,19 @@ _QUADRATURE_ERROR = 1e-10
 class ThrustMoments:
     """Two weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
 
-    The first follows from the momentum balance (docs/theory/bound.md, eq. (2)), the second from the
-    displacement (eq. (4)).
-
-    Parameters
-    ----------
-    demand : MomentumDemand
-        Thrust vector that the momentum balance requires for a motion. The drag must be linear in
-        the velocity.
-    displacement : ndarray, shape (3,)
-        Vector from start to goal, m.
-    duration : float
-        Duration of the flight, s.
+    See docs/theory/bound.md, eqs. (2) and (4). The weights are 1 and (k(t) - mean of k) / duration,
+    with k(t) of eq. (3). The drag must be linear in the velocity.
 
     Attributes
     ----------
     widths : ndarray, shape (n,)
-        Weights of the n nodes of a Gauss quadrature over the flight, s.
+        Weights of quadrature nodes, s.
     weights : ndarray, shape (2, n, 3)
-        Dimensionless weights of the thrust in both integrals, at the nodes, along each axis. The
-        first weight is 1. The second is (k(t) - mean of k over the flight) / duration, with k(t)
-        [s] from docs/theory/bound.md, eq. (3).
+        Both weights at the nodes.
     demanded : ndarray, shape (2, 3)
-        Values of the first and the second integral that the mission requires, along each axis, N s.
+        Required integrals, N s.
     mean_thrust : ndarray, shape (3,)
-        Mean over the flight of the thrust vector that the mission requires, N.
+        Required mean thrust, N.
     """
 
     def __init__(self, demand: MomentumDemand, displacement: FloatArray, duration: float) -> None:
@@ -84,58 +72,27 @@ class ThrustMoments:
         self.mean_thrust = total / duration
 
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the multiplier (price) of the thrust vector at each quadrature node.
+        """Return length [W/N], shape (n,), and direction, shape (n, 3), of the price of thrust.
 
-        The price is the sum over both integrals of multiplier times weight at the node
-        (docs/theory/bound.md, eq. (8)).
-
-        Parameters
-        ----------
-        multipliers : ndarray, shape (2, 3)
-            Multipliers of the first and of the second integral along each axis, W/N.
-
-        Returns
-        -------
-        length : ndarray, shape (n,)
-            Length of the price vector at each node, W/N.
-        direction : ndarray, shape (n, 3)
-            Unit vector along the price at each node.
+        The price at a node is the sum of multiplier times weight over both integrals:
+        docs/theory/bound.md, eq. (8). `multipliers` has the shape (2, 3), W/N.
         """
         vector = np.einsum("ki,kti->ti", multipliers, self.weights)
         size = np.linalg.norm(vector, axis=1)
         return size, vector / np.maximum(size, np.finfo(float).tiny)[:, None]
 
     def supplied(self, thrust: FloatArray) -> FloatArray:
-        """Return the two weighted integrals of a given thrust over the flight.
+        """Return the two weighted integrals of a given thrust over the flight, shape (2, 3), N s.
 
-        For every flight of the mission, the two integrals equal the attribute `demanded`.
-
-        Parameters
-        ----------
-        thrust : ndarray, shape (n, 3)
-            Thrust vectors at the nodes of the quadrature, N.
-
-        Returns
-        -------
-        ndarray, shape (2, 3)
-            The first and the second integral along each axis, N s.
+        `thrust` has the shape (n, 3), N. For every flight of the mission, the integrals equal
+        `demanded`.
         """
         return np.einsum("kti,ti->ki", self.weights, self.widths[:, None] * thrust)
 
     def least_peak(self, axes: tuple[int, ...] = (0, 1, 2)) -> float:
-        """Return a lower bound on the peak thrust of every flight of the mission.
+        """Return a lower bound on the peak thrust along `axes` of every flight of the mission, N.
 
-        Implements docs/theory/bound.md, eq. (11).
-
-        Parameters
-        ----------
-        axes : tuple of int, default (0, 1, 2)
-            Axes of the thrust components that the bound includes; (0, 1) is the horizontal thrust.
-
-        Returns
-        -------
-        float
-            Lower bound on the largest length of the thrust vector along these axes, N.
+        Implements docs/theory/bound.md, eq. (11). For (0, 1) the bound is on the horizontal thrust.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -173,8 +130,8 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
     """Return the weights of the two integrals of the thrust at n times, each of shape (n, 3).
 
-    The first weight is 1, the second k(t) [s] from docs/theory/bound.md, eq. (3). `rate` is the
-    drag coefficient over mass [1/s].
+    They are 1 and k(t) [s] from docs/theory/bound.md, eq. (3), before `ThrustMoments` centres and
+    scales k(t). `rate` is the drag coefficient over mass [1/s].
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     # An increase of the velocity by dv at the time t shifts the final position by k(t) dv.
@@ -186,7 +143,7 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the two weighted integrals of the thrust that keeps the vehicle at rest.
+    """Return the integrals of the thrust that keeps the vehicle at rest, with weights `_weights`.
 
     They are the terms with S in docs/theory/bound.md, eqs. (2) [N s] and (4) [N s^2]. `rate` is the
     drag coefficient over mass [1/s].
@@ -237,16 +194,15 @@ class Certificate:
     Attributes
     ----------
     lower_bound_J : float or None
-        Lower bound on the energy of every flight of the mission; None if no bound is known.
+        None if no bound is known.
     hover_energy_J : float
-        Energy of hovering in still air for the duration of the mission, or for the estimated
-        duration if the mission leaves the duration free.
+        Energy of hovering in still air for the given or estimated duration.
     applies : bool
         Whether a bound is known.
     reason : str
-        Sentence that names the basis of the bound, or says why no bound is known.
+        Basis of the bound, or why none is known.
     durations_s : tuple of float
-        Least and greatest duration of the flights that the bound covers [s].
+        Durations that the bound covers.
     """
 
     lower_bound_J: float | None
@@ -261,19 +217,10 @@ class Certificate:
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
     def gap_percent(self, energy_J: float) -> float | None:
-        """Return the optimality gap of a flight: the part of its energy above the lower bound.
+        """Return the optimality gap of a flight, 100 (energy - lower bound) / energy [percent].
 
-        Any other flight of the mission can save at most this part.
-
-        Parameters
-        ----------
-        energy_J : float
-            Energy of the flight [J].
-
-        Returns
-        -------
-        float or None
-            100 (energy - lower bound) / energy, in per cent; None if no bound is known.
+        Any other flight of the mission can save at most this part of the energy. The result is None
+        if no bound is known.
         """
         if self.lower_bound_J is None:
             return None
@@ -283,17 +230,7 @@ class Certificate:
 def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificate:
     """Return a lower bound on the energy of every flight of a mission in the actual wind.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    planner : Planner, optional
-        Holds the compiled equations; by default a new planner.
-
-    Returns
-    -------
-    Certificate
-        The bound, or the reason why none is known.
+    If no bound is known, the result holds the reason.
     """
     planner = planner or Planner()
     hover_energy = planner.steady_flight(scenario).hover_power * scenario.nominal_duration
@@ -353,8 +290,8 @@ def _bound_as_a_whole(
 ) -> _Found:
     """Return a lower bound on the energy of flights of fixed duration, without the waypoints.
 
-    `why_not_by_legs` is part of the text if the mission has waypoints, a free duration or a
-    release.
+    `why_not_by_legs` completes the sentence on waypoints, a free duration or a release, for which
+    this function has no bound.
     """
     mission = scenario.mission
     if mission.released > 0.0:
@@ -606,8 +543,8 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust [N] and total power [W] of the vehicle with all rotors at one constant speed.
 
-    If they are polynomials of the rotor speed (`is_polynomial`), their samples are exact to
-    rounding.
+    Both are sampled from polynomials of the rotor speed that are fitted to the model. If the model
+    itself is polynomial (`is_polynomial`), the samples are exact to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:

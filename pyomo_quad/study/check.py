@@ -35,23 +35,10 @@ def _caution(subject: str, message: str) -> Finding:
 
 
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield findings on a mission's battery before the solve: on its charge, power and limits.
+    """Yield findings on a battery with too little charge or power for a mission of fixed duration.
 
-    A finding names a fault: its severity and a message for the user.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        A mission of fixed duration.
-    planner : Planner
-        Holds the compiled equations.
-
-    Yields
-    ------
-    Finding
-        It is a caution if the battery has too little charge or power for the mission. It has the
-        severity "impossible" if every flight breaks a limit on the battery. The lower bound on the
-        energy, or the initial state of charge, proves this.
+    A finding is "impossible" if the initial charge or the lower energy bound proves that every
+    flight breaks a limit. Otherwise it is a caution.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     # Only a caution: the battery's equations stay finite for an empty battery.
@@ -127,10 +114,8 @@ _SAVING = 1e-3
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield findings on the power model `efficiency`, and on the motor voltage in hover.
 
-    The model `efficiency` has a caution if hover is outside its valid range, braking returns
-    energy, or alternating acceleration and braking saves power. If hover needs more voltage than
-    the battery gives, the finding is "impossible" with the models `motor` and
-    `motor_with_friction`, else a caution.
+    Findings on `efficiency` are cautions. Too low a battery voltage for hover is "impossible" with
+    the models `motor` and `motor_with_friction`, a caution with all others.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -222,20 +207,8 @@ _MARGIN = 1e-3
 def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield findings on limits on the motion that every flight of a mission exceeds.
 
-    The limits are those on rotor speed, rotor acceleration, thrust, tilt and yaw moment. Thrust and
-    tilt are not checked if the wind varies with place or the drag is not linear.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        A mission of fixed duration.
-    planner : Planner
-        Holds the compiled equations.
-
-    Yields
-    ------
-    Finding
-        Each finding proves that no flight of the mission exists.
+    The duration must be fixed. The limits are those on rotor speed, rotor acceleration, thrust,
+    tilt and yaw moment. Each finding proves that no flight of the mission exists.
     """
     steady = planner.steady_flight(scenario)
     if scenario.limits.rotor_speed_min > steady.hover_speed:
@@ -249,6 +222,7 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     if scenario.wind.varies_with_place:
         return  # the thrust needed depends on the route that the plan chooses
     demand = MomentumDemand(planner.dynamics(scenario))
+    # Thrust and tilt are checked only if the drag is linear.
     if demand.is_linear:
         yield from _thrust_findings(scenario, steady, demand)
 
@@ -399,30 +373,15 @@ _ROUNDING = 1e-9
 def check_mission(
     scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
 ) -> tuple[Finding, ...]:
-    """Return findings on settings of a mission that are impossible or doubtful, without a solve.
+    """Return findings on impossible or doubtful settings of a mission, without a solve.
 
-    The wind is the forecast, if the scenario has one. For a free duration, the limits on the motion
-    and the battery are not checked.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    builder : callable, optional
-        Builds the Pyomo model; ignored if `planner` is given. For a user's model, thrust, power and
-        battery are not checked, because the limits of its vehicle are unknown.
-    planner : Planner, optional
-        Holds the compiled equations; by default a new planner with `builder`.
-
-    Returns
-    -------
-    tuple of Finding
-        Findings in the order of their severity. Findings which prove that no flight can satisfy the
-        mission come first. Even if the result is empty, the mission may be impossible.
+    Findings which prove that no flight exists come first. Even without findings, the mission may be
+    impossible. The wind is the forecast, if there is one. `builder` counts only without `planner`.
     """
     told = scenario.as_forecast()
     findings = [*_contradictions(scenario), *_angles_in_degrees(scenario)]
     planner = planner or Planner(builder)
+    # The limits of the vehicle in a user's model are unknown.
     if planner.builder is build_model:
         if not told.mission.is_free:  # a plan of free duration takes the time that it needs
             findings += reach_findings(told, planner)
@@ -530,19 +489,9 @@ _EFFICIENCY = "power.efficiency_polynomial"
 
 
 def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
-    """Return cautions about a plan: on its mission, its solve and the validity of its models.
+    """Return cautions about a plan, one line each: on its mission, its solve and its models.
 
-    Parameters
-    ----------
-    plan : Plan
-        The plan, which may be the result of a failed solve.
-    planner : Planner, optional
-        Holds the compiled equations; by default a new planner.
-
-    Returns
-    -------
-    tuple of str
-        The cautions, one line each.
+    The solve of the plan may have failed.
     """
     has_flown = plan.verification is not None
     findings = check_mission(plan.mission_flown if has_flown else plan.scenario, planner=planner)

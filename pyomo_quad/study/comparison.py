@@ -38,8 +38,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+# Columns of `adaptation_study`. Distance of the vehicle from the path point of the same time [m].
 ERROR_WITH = "position_error_with_adaptation_m"
 ERROR_WITHOUT = "position_error_without_adaptation_m"
+# The controller's estimate of the disturbance acceleration, and the true one, both in the flight
+# with adaptation [m/s^2].
 ESTIMATED = tuple(f"estimated_disturbance_{axis}_m_per_s2" for axis in "xyz")
 TRUE = tuple(f"true_disturbance_{axis}_m_per_s2" for axis in "xyz")
 
@@ -47,29 +50,10 @@ _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 
 
 def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
-    """Simulate a mission twice under the adaptive controller: with and without its adaptation.
+    """Simulate a mission with and without the controller's adaptation; return a table over time.
 
-    Both flights follow the same smooth path (quintic polynomial) from start to goal in the actual
-    wind.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, with fixed duration and fixed passing times of the waypoints. The property
-        `mission_flown` of a `Plan` is such a scenario, with the times of the plan.
-    dynamics : Dynamics
-        Dynamics of the vehicle in the actual wind.
-
-    Returns
-    -------
-    DataFrame
-        One row for each time. Constants of this module hold the names of the columns:
-
-        - `ERROR_WITH`, `ERROR_WITHOUT`: distance of the vehicle from the path point of the same
-          time [m], with and without adaptation;
-        - `ESTIMATED`: the controller's estimate of the disturbance acceleration, in the flight with
-          adaptation [m/s^2], three columns for x, y and z;
-        - `TRUE`: the true disturbance acceleration in the same flight [m/s^2], three columns.
+    Both flights follow the same quintic path in the actual wind. Duration and passing times must be
+    fixed. The columns are `ERROR_WITH`, `ERROR_WITHOUT`, `ESTIMATED` and `TRUE`.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -105,7 +89,13 @@ _PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 class ComparisonColumn(TableColumn):
     """Columns of the table that compares the flights of a mission, one row for each flight.
 
-    The function `compare_flights` makes the table and explains its values.
+    A simulated flight ends near the goal. Its owed energy is the estimated energy from there to the
+    exact goal state. With E = energy + owed energy of a flight, and E_plan that of the plan:
+
+    - excess = E - energy of hovering as long;
+    - gap = 100 (E - lower bound) / E;
+    - saving = 100 (E - E_plan) / E;
+    - saving of excess = 100 (E - E_plan) / excess.
     """
 
     SCENARIO = "scenario"
@@ -151,47 +141,11 @@ def compare_flights(
     certificate: Certificate,
     hover_energy_J: float,
 ) -> "pd.DataFrame":
-    """Compare the flights of one mission in a table: energies, savings, arrival and limits.
+    """Compare the flights of one mission in a table of the columns `ComparisonColumn`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, with the duration and the passing times of the plan: the property
-        `mission_flown` of a `Plan`.
-    flights : sequence of Flight
-        Flights of the mission. The flight of the plan is the one with the name "optimal", which is
-        the value of the constant `OPTIMAL`.
-    certificate : Certificate
-        Lower bound on the energy of the mission.
-    hover_energy_J : float
-        Energy of hovering for the duration of the mission.
-
-    Returns
-    -------
-    DataFrame
-        One row per flight, columns of `ComparisonColumn`; NaN where a value is undefined. If the
-        scenario sets `limits.reserve`, the column `RESERVE` is added.
-
-    Notes
-    -----
-    A simulated flight ends near the goal. Its owed energy is the energy from there to the exact
-    goal state, as `Plan.owed_energy` estimates it. Let E be the energy of a flight plus its owed
-    energy. The table contains:
-
-    - excess over hovering: E - energy of hovering for the duration of the flight;
-    - optimality gap: 100 (E - lower bound) / E, in per cent;
-    - saving of the plan: 100 (E of the flight - E of the plan) / E of the flight, in per cent;
-    - saving above hover: 100 (E of the flight - E of the plan) / excess of the flight, in per cent.
-
-    Values of a flight are NaN in these cases:
-
-    - lower bound, gap and savings: if the flight is not comparable (see `is_comparable`);
-    - lower bound and gap: if the certificate does not cover the duration of the flight;
-    - lower bound and gap of the plan: if the scenario has a wind forecast;
-    - savings: if the flight is the plan itself, if the plan is not comparable, or if the scenario
-      has a wind forecast;
-    - saving above hover: if flight and plan differ in duration, or the plan takes less energy than
-      hovering.
+    `scenario` has the duration and passing times of the plan. The plan's flight has the name
+    "optimal". Undefined values are NaN. If the scenario sets `limits.reserve`, the column `RESERVE`
+    is added.
     """
     # With a forecast, the plan was made for the forecast wind, but bound and other flights are of
     # the actual wind.
@@ -201,12 +155,13 @@ def compare_flights(
     for flight in flights:
         is_optimum, arrived = flight.name == OPTIMAL, has_arrived(flight)
         settled, is_valid = settled_energy(flight), is_comparable(flight)
-        # The bound covers only flights that arrive within the limits.
+        # The bound covers only flights that arrive within the limits, and some durations only.
         is_bounded = is_valid and (is_told_the_wind or not is_optimum)
         is_bounded = is_bounded and certificate.is_of(flight.duration_s)
         is_rival = is_valid and is_told_the_wind and not is_optimum
         hover = _hover_energy(scenario, flight, hover_energy_J)
         excess = settled - hover
+        # Savings need a comparable plan and a comparable other flight, both for the actual wind.
         saved = saved_of_excess = nan
         if optimum is not None and is_rival:
             saved = settled - settled_energy(optimum)
@@ -254,16 +209,14 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
-    """Return whether the duration of a flight [s] differs from the duration of the mission.
-
-    If so, the energy of hovering is scaled to the duration of the flight for comparisons.
-    """
+    """Return whether the duration of a flight [s] differs from the duration of the mission."""
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
 
 def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> float:
     if not has_own_time(scenario, flight.duration_s):
         return hover_energy_J
+    # Compare with hovering for the duration of the flight.
     return hover_energy_J * flight.duration_s / scenario.mission.fixed_duration
 
 
@@ -294,22 +247,8 @@ def leg_rows(
 ) -> list[dict[str, str | float]]:
     """Return times, length and energy of each leg of a flight, and of each hover at a waypoint.
 
-    A leg is the flight from one waypoint to the next.
-
-    Parameters
-    ----------
-    mission : Scenario
-        The mission, with the passing times of the flight at the waypoints. For the flight of a
-        plan it is the property `mission_flown` of the `Plan`.
-    flown : mapping or DataFrame
-        Columns of the flight's table over time, by name: time, position and energy. Other columns
-        are ignored.
-
-    Returns
-    -------
-    list of dict
-        One mapping from `LegColumn` to value for each leg and hover. The list is empty for a
-        mission without waypoints, or if the table lacks energy or position.
+    `mission` has the passing times, `flown` the columns of time, position and energy. Without
+    waypoints, position or energy, the list is empty.
     """
     if not mission.mission.waypoints or not {ENERGY, *_PLACE}.issubset(flown):
         return []
@@ -380,20 +319,8 @@ class ReplanningColumn(TableColumn):
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return results and solve times of all flights whose plan is solved again during the flight.
 
-    The solve times in the table are measured. If ``settings.clock`` is "stated", the simulated
-    flight instead assumes that each solve takes ``settings.solve_time``.
-
-    Parameters
-    ----------
-    flights : sequence of Flight
-        Flights of a run.
-    settings : Replanning
-        Interval between the solves, and time allowed for a solve [s].
-
-    Returns
-    -------
-    DataFrame
-        One row for each flight with solves, columns of `ReplanningColumn`.
+    Solve times are measured. If ``settings.clock`` is "stated", the simulated flight instead
+    assumes that each solve takes ``settings.solve_time``.
     """
     rows = []
     for flight in flights:
@@ -422,19 +349,17 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 def is_comparable(flight: Flight) -> bool:
     """Return whether the energy of a flight can be compared with those of other flights.
 
-    The flight must arrive and keep all limits. The energy to the exact goal state (owed energy)
-    must be known.
+    The flight must arrive and keep all limits. Its owed energy, from its end to the exact goal
+    state, must be known.
     """
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
 
 
 def settled_energy(flight: Flight) -> float:
-    """Return the energy of a flight to the exact goal state [J].
+    """Return the energy of a flight, plus its owed energy to the exact goal state [J].
 
-    The result includes the owed energy: an estimate of the energy from the end of the flight to the
-    goal state. Without this estimate, or if the flight has not arrived, the result is the energy of
-    the flight alone.
+    The owed energy is left out if it is unknown, or if the flight has not arrived.
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)

@@ -1,8 +1,7 @@
 """Estimate of the processor time that planning a mission takes, and of each feature's part in it.
 
-Most of the time is spent in Ipopt's iterations. The time of an iteration is proportional to the
-number of unknowns: variables per collocation point times points of the mesh. The solve may be
-repeated for several meshes, routes round keep-out zones and orders of the waypoints.
+Ipopt's iterations take most of the time. The time of an iteration is proportional to the number of
+unknowns: variables per collocation point times points of the mesh. There may be several solves.
 
 The constants were measured. The command `python -m tests.benchmarks resolve missions` compares
 estimated with measured times.
@@ -52,23 +51,21 @@ class Counts:
     Attributes
     ----------
     unknowns : int
-        Number of variables per collocation point: states and other functions of time in the model.
+        Variables per collocation point.
     elements, degree : int
-        Number of elements of the first mesh, and polynomial degree in each element.
+        Elements of the first mesh, and polynomial degree.
     tolerance : float
         Relative error to which the mesh is refined.
     waypoints : int
         Number of waypoints.
     routes : int
-        Number of routes round keep-out zones; 0 if no zone is in the way.
+        Routes round keep-out zones; 0 if no zone is in the way.
     legs : int
-        Number of flights between two waypoints (legs) that are planned in order to find the best
-        order of the waypoints; 0 for a given order.
+        Legs planned alone to find the best order of the waypoints; 0 for a given order.
     is_free, has_wind_table, has_wind_field : bool
-        Whether the duration is free, the wind is a measured table, and the wind is a field.
+        Whether the duration is free, the wind is a measured table, the wind is a field.
     cells : int
-        Number of grid cells of the wind field or of the terrain that the flight crosses. The
-        estimate assumes at least one mesh element for each cell.
+        Grid cells of wind field or terrain on the way, each with at least one element.
     """
 
     unknowns: int
@@ -93,6 +90,8 @@ class Counts:
         slower = 1.0 + _TABLE * self.has_wind_table + _FIELD * self.has_wind_field
         each = _PER_UNKNOWN_S * self.unknowns * slower
         rough = each * iterations * elements * self.degree
+        # The solve is repeated for finer meshes, for routes round keep-out zones and for orders of
+        # the waypoints.
         meshes = _FIRST_MESHES + _PER_DECADE * max(0.0, -log10(self.tolerance))
         refined = min(max(self.routes, 1), _MOST_REFINED)
         coarse = self.routes + (BEST_FEW if self.legs else 0)
@@ -137,17 +136,7 @@ def _rounded(seconds: float) -> str:
 def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
     """Estimate the processor time of planning a scenario, and the contributions of its features.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission and the solver's settings.
-    unknowns : int
-        Number of variables per collocation point: states and other functions of time in the model.
-
-    Returns
-    -------
-    Effort
-        Processor time [s], and costly features with their times.
+    `unknowns` is the number of variables per collocation point.
     """
     counts = counts_of(scenario, unknowns)
     without = {

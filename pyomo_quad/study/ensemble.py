@@ -89,17 +89,17 @@ class Ensemble(Summarised):
     Attributes
     ----------
     scenario : Scenario
-        The mission, with fixed duration and passing times of waypoints.
+        The mission, with fixed duration and passing times.
     name : str
-        Name of the flights: controller and reference trajectory, such as "adaptive/plan".
+        Controller and reference, such as "adaptive/plan".
     seed : int
         Seed of the winds.
     flown : FlownOften
-        Recorded quantities over time, and result of each flight.
+        Quantities over time, and result of each flight.
     planned : ndarray, shape (n_samples, 3)
-        Positions of the reference trajectory at the times of `flown` [m].
+        Reference positions at the times of `flown` [m].
     wall_s : float
-        Wall-clock time of the simulation [s].
+        Wall-clock time [s].
     """
 
     scenario: Scenario
@@ -218,24 +218,11 @@ def fly_plan_often(
 ) -> Ensemble:
     """Simulate a plan many times under the adaptive controller, each time in a random wind.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, with the duration and the passing times of the plan: the property
-        `mission_flown` of a `Plan`.
-    held : Trajectories
-        States and controls of the plan over time. The plan must be made for the scenario's wind
-        forecast, or without a forecast for its actual wind without turbulence.
-    planner : Planner
-        Holds the compiled equations of the vehicle.
-    flights, seed : int
-        Number of flights, and seed of their winds.
-
-    Returns
-    -------
-    Ensemble
-        The flights, named "adaptive/plan".
+    `scenario` has the duration and passing times of the plan (`Plan.mission_flown`). `held` has
+    states and controls of the plan. The name of the flights is "adaptive/plan".
     """
+    # The plan was made for the forecast wind or, without a forecast, for the actual wind without
+    # turbulence.
     told = planner.dynamics(scenario.as_forecast())
     path = path_of(in_order(scenario, held, told), told, scenario)
     name = baseline_name(Reference.PLAN)
@@ -256,30 +243,7 @@ def fly_cruise_often(
     """Simulate many flights of an autopilot, straight between waypoints, in random winds.
 
     With the same seed, the winds are those of `fly_plan_often`. All flights wait at the goal for
-    the same time: the shortest, to 0.1 s, with which the share `arriving` of the flights arrives.
-    If no time in `SETTLINGS_S` is long enough, the time with most arrivals is taken.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission. Passing times and duration are replaced by those of the autopilot's flight.
-    settings : CruiseSettings
-        Speed, acceleration and jerk of the autopilot.
-    planner : Planner
-        Holds the compiled equations of the vehicle.
-    flights, seed : int
-        Number of flights, and seed of their winds.
-    name : str, optional
-        Name of the flights. By default the flights are named after the speed.
-    least_s : float, default 0
-        Least duration of the flights [s].
-    arriving : float, default 0.5
-        Share of the flights that are to arrive.
-
-    Returns
-    -------
-    Ensemble
-        The flights.
+    the shortest time with which the share `arriving` arrives. `least_s` is their least duration.
     """
     named = name or baseline_name(Reference.CRUISE, settings.speed)
 
@@ -294,6 +258,8 @@ def fly_cruise_often(
         # without avoiding the violation.
         return flown_with(settling_s).arrived.count >= arriving * flights
 
+    # Find the shortest wait to `_WAIT_S`: first the least sufficient one of `SETTLINGS_S`, then
+    # bisection.
     enough = next(filter(is_enough, SETTLINGS_S), None)
     # No wait is long enough: the wait with most arrivals counts.
     if enough is None:
@@ -344,10 +310,10 @@ class Saving:
     Attributes
     ----------
     rival : Ensemble
-        The other flights, one in each wind, such as the flights of an autopilot.
+        The other flights, one in each wind.
     percent : (float, float, float)
-        Saving in per cent: 5, 50 and 95 % quantiles (`BAND`) over the winds. The saving in one wind
-        is 100 (rival - plan) / rival, from the energies of the two flights.
+        5, 50 and 95 % quantiles (`BAND`) of 100 (rival - plan) / rival over the winds, from the
+        energies of both flights.
     both_succeeded : int
         Number of winds in which both flights arrived within all limits. The percentages cover all
         winds.
@@ -359,15 +325,7 @@ class Saving:
 
     @classmethod
     def of(cls, planned: Ensemble, rival: Ensemble) -> "Saving":
-        """Return the energy saving of a plan's flights over rival flights in the same winds.
-
-        Parameters
-        ----------
-        planned : Ensemble
-            Flights along the plan.
-        rival : Ensemble
-            Other flights in the same winds.
-        """
+        """Return the energy saving of flights along a plan over rival flights in the same winds."""
         mine, other = (flown.of_flights("energy_J") for flown in (planned, rival))
         low, middle, high = np.quantile(100.0 * (other - mine) / other, BAND).tolist()
         pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)
@@ -429,7 +387,8 @@ class InTurbulence:
 
 
 # Total simulated time [s] of the flights in turbulence of a run, which takes less than half a
-# minute, and largest number of flights.
+# minute, and largest number of flights. Their number is this time over the plan's
+# duration.
 _FLOWN_S, _MOST_FLIGHTS = 10_000.0, 1000
 # Seed of these flights. It differs from the seed of the flights from which the plan's margins were
 # found.
@@ -441,25 +400,8 @@ def fly_in_turbulence(
 ) -> InTurbulence | None:
     """Simulate the flights of a plan, and of an autopilot, in the same random winds.
 
-    The seed of the winds is fixed. The number of flights is 10,000 s over the plan's duration, but
-    at most 1000.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan of the run.
-    cruise : CruiseSettings or None
-        Speed, acceleration and jerk of the autopilot; with None no autopilot is simulated.
-    is_tuned : bool
-        Whether `cruise` holds the settings of least energy. If so, the words of the result say it.
-    planner : Planner
-        Holds the compiled equations of the vehicle.
-
-    Returns
-    -------
-    InTurbulence or None
-        Flights in turbulence. None if the scenario has no turbulence, or if the plan must not be
-        flown: its status is neither `VERIFIED` nor `USABLE`.
+    If `cruise` is None, no autopilot is simulated. The result is None if the scenario has no
+    turbulence, or if the plan must not be flown (`Plan.is_flyable`).
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:

@@ -1,11 +1,10 @@
 """Energy-time front: least energy of a mission of free duration against its duration.
 
 Each point of the front is a flight that minimises energy + price of time [W] * duration. Every
-shorter flight takes at least as much energy. The mission sets one price, and this study also uses
-other prices.
+shorter flight takes at least as much energy. The mission sets one price; others are tried.
 
-Where the least energy is convex in the duration, each price selects one flight. The slope of the
-front there is minus the price.
+Where the least energy is convex in the duration, each price selects one flight. There the slope is
+minus the price.
 """
 
 from math import isclose, isfinite, nan
@@ -49,30 +48,13 @@ def energy_time_front(
 ) -> "pd.DataFrame":
     """Return energy and duration of a free-duration mission for several prices of time.
 
-    The objective is energy + price of time [W] * duration. If the mission's objective is the least
-    charge, the charge times a voltage takes the place of the energy. The mesh is that of the plan,
-    so the new flights may break limits between mesh points.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan of the mission, one point of the front.
-    planner : Planner
-        Solves the mission for the other prices.
-    progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve.
-
-    Returns
-    -------
-    DataFrame
-        Columns of `FrontColumn`, one row for each flight, the shortest flight first. The price of
-        the plan is NaN if its objective is the least time. The table is empty if the mission fixes
-        the duration, or if simulation did not confirm the plan to the requested accuracy. Only
-        successful solves with new durations add rows.
+    The columns are `FrontColumn`. The table is empty if the duration is fixed or the plan is not
+    verified. Flights other than the plan may break limits between mesh points.
     """
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return FrontColumn.of_rows(())
     mission = plan.scenario.mission
+    # The objective of least time has no price of time.
     own = nan if mission.aim is Aim.TIME else mission.price_of_time
     aim = Aim.ENERGY if mission.aim is Aim.TIME else mission.aim
     rows = [(own, plan.duration_s, plan.energy, True)]
@@ -82,7 +64,8 @@ def energy_time_front(
         if isclose(price, own, rel_tol=0.1, abs_tol=0.1 * hover_power):
             continue
         # Each solve starts from the plan, so the flight passes keep-out zones on the same sides.
-        # The mesh of the plan is accurate enough for energies.
+        # The mesh of the plan is accurate enough for energies. For the objective of least charge,
+        # the charge times a voltage takes the place of the energy.
         found = planned_alike(plan, planner, progress, price_of_time=price, aim=aim)
         is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
         # The plan is a flight of the changed mission too, so that an optimum costs no more.
@@ -105,27 +88,13 @@ def is_optimum(found: Plan) -> bool:
 def planned_alike(
     plan: Plan, planner: Planner, progress: Progress | None, **changed: object
 ) -> Plan:
-    """Solve a plan's mission with some fields changed, warm-started from the plan and on its mesh.
+    """Solve a plan's mission again with changed fields of the table `mission`.
 
-    Limits that the plan tightened for an allowed risk are tightened by the same margins. The two
-    plans are thus comparable.
-
-    Parameters
-    ----------
-    plan : Plan
-        Start of the solve.
-    planner : Planner
-        Solves the changed mission, without mesh refinement.
-    progress : callable or None
-        Called at each Ipopt iteration; returning False stops the solve.
-    **changed : object
-        Fields of the scenario's table `mission` and their new values.
-
-    Returns
-    -------
-    Plan
-        The plan of the changed mission. If the solve failed, its `status` says so.
+    The solve starts from the plan and keeps its mesh. If it fails, the `status` of the result says
+    so.
     """
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
+    # Margins for an allowed risk tightened limits of the plan. The same margins make both plans
+    # comparable.
     told = tightened(plan.scenario.with_mission(**changed), plan.margins).model_copy(update=once)
     return planner.solve(told, warm_start=plan, progress=progress)

@@ -36,21 +36,17 @@ class Headline:
     energy_J, duration_s : float
         Energy and duration of the plan.
     battery_percent : float or None
-        Charge that the plan uses, in per cent of the capacity; None without a battery.
+        Charge used, in per cent of the capacity; None without a battery.
     rival : mapping or None
-        Row of the comparison table for the flight with which the plan is compared, from `rival_of`;
-        None if no flight qualifies.
+        Row of the flight from `rival_of`.
     settings : CruiseSettings or None
-        Speed, acceleration and jerk of the tuned autopilot, if it is the rival.
+        Settings of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
-        Allowed probability that a flight in turbulence breaks a limit, with the test flights that
-        the planner simulated; None for a scenario without `mission.risk`.
+        The plan's risk with its test flights.
     often : InTurbulence or None
-        Many simulated flights of the run in turbulence. If given, the headline uses them instead of
-        the test flights in ``risk``.
+        Many flights in turbulence; if given, the headline uses them, not the test flights.
     is_compared : bool
-        Whether the plan arrives close to the goal and keeps all limits. Otherwise it cannot be
-        compared with other flights.
+        Whether the plan arrives and keeps all limits.
     """
 
     energy_J: float
@@ -174,16 +170,12 @@ def headline_of(result: "RunResult") -> Headline | None:
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row in `comparison`.
 
-    A flight qualifies if its row has a saving, except for the flight "open_loop/plan". Only flights
-    that arrived and kept all limits have one. The result is, in the order of preference,
-
-    - the flight of the autopilot tuned for least energy,
-    - the flight under the controller along a smooth path (quintic polynomial),
-    - the flight of least energy,
-    - None if no flight qualifies.
+    A flight other than "optimal" and "open_loop/plan" qualifies if its row has a saving. The order
+    of preference is tuned autopilot, quintic path, least energy. None if no flight qualifies.
     """
     # The flight of the plan, and the simulation of its rotor commands without feedback.
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
+    # Only flights that arrived and kept all limits have a saving.
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]
     by_name = {row[ComparisonColumn.FLIGHT]: row for row in rivals.to_dict("records")}
     cheapest = min(by_name.values(), key=settled_of, default=None)

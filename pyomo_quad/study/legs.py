@@ -70,17 +70,15 @@ class Leg:
     Attributes
     ----------
     displacement : ndarray, shape (3,)
-        Displacement between the nominal places of the leg's ends, m.
+        From the nominal start to the nominal end, m.
     slack : float
-        Sum of the distances that the mission allows between the leg's ends and their nominal
-        places, m.
+        Sum of the allowed distances of both ends from their nominal places, m.
     mass : float
-        Mass, as a fraction of the mass at the start.
+        Fraction of the mass at the start.
     group : int
-        Index of the leg's group. The mission fixes or limits the sum of the durations of the legs
-        of a group.
+        Index of the group of legs whose total duration is fixed or limited.
     end_speed : float
-        Largest speed at the end of the leg, m/s; infinite without a limit.
+        Largest speed at the end, m/s.
     """
 
     displacement: FloatArray
@@ -91,18 +89,10 @@ class Leg:
 
 
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
-    """Return the legs of a mission, and the limits on the durations of groups of legs.
+    """Return the legs of a mission, and the least and greatest duration of each group of legs [s].
 
-    Waypoints with a given passing time divide the flight into groups of legs. A hover at a waypoint
-    counts as a leg that forms its own group. The waypoints keep the scenario's order, even if
-    `mission.order` leaves the order open.
-
-    Returns
-    -------
-    legs : list of Leg
-        The legs in the order from start to goal.
-    shared : list of tuple of float
-        Least and greatest sum of the durations of the legs of each group, s.
+    Waypoints with a given passing time divide the legs into groups. Each hover forms its own group.
+    The waypoints keep the scenario's order, even if it is open.
     """
     mission, mass, hovering = scenario.mission, 1.0, HOVERING_M_PER_S
     displacements = np.diff(np.array(mission.positions), axis=0)
@@ -141,23 +131,17 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
 class Itinerary:
     """Lower bound on the energy of a flight in legs, over all allowed durations of the legs.
 
-    A leg is the flight from one waypoint to the next. Waypoints with a given passing time divide
-    the legs into groups.
-
     Parameters
     ----------
-    legs : sequence of Leg
-        From start to goal.
-    shared : sequence of tuple of float
-        Least and greatest sum of the durations of the legs of each group, s.
+    legs, shared : sequence
+        Legs, and limits on the durations of their groups, from `legs_of`.
     standing : ndarray, shape (3,)
-        Thrust that holds the vehicle still if it has the mass at the start, N.
+        Thrust that holds the vehicle still at the start, N.
     mass : float
         Mass at the start, kg.
     conjugate : callable
-        Convex conjugate of the power. Takes prices (multipliers) of thrust, shape (n,), W/N.
-        Returns for each price the maximum over the thrust of (price * thrust - power) [W], and the
-        thrust of the maximum [N].
+        Takes prices of thrust, W/N; returns the maxima of price * thrust - power, W, and the
+        thrusts there, N.
     """
 
     def __init__(
@@ -221,13 +205,8 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        The bound is the largest that a search over the prices of velocity finds; -1e12 J if no
-        prices give a bound.
-
-        Parameters
-        ----------
-        price : ndarray, shape (3,)
-            Price of thrust for the start of the search, W/N.
+        The search over the prices of velocity starts from the price of thrust `price`, shape (3,),
+        W/N. If no prices give a bound, the result is -1e12 J.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -287,8 +266,8 @@ def _least_over_times(
 ) -> tuple[float, FloatArray]:
     """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
 
-    Without a minimum, the result is minus infinity. The sum of the T_k is limited by `least` and
-    `greatest` [s]. See docs/theory/bound.md, eq. (13).
+    The sum of the T_k is limited by `least` and `greatest` [s]. If an A_k is negative, the minimum
+    is minus infinity, except for one leg of fixed duration. See docs/theory/bound.md, eq. (13).
     """
     if least == greatest and gained.size == 1:
         return float(gained[0] / least + spent[0] * least), np.array([least])

@@ -1,9 +1,8 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
 The risk of a plan is the allowed share of its flights in turbulence that break a limit. The planner
-simulates test flights of the plan in turbulence. The risk covers a limit if it is among the three
-that the test flights break most often. The risk covers a flight if it covers every limit that the
-flight breaks.
+simulates test flights of the plan. The risk covers a limit if it is among the three that the test
+flights break most often, and a flight if it covers every broken limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,20 +27,8 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
-    Each sentence names the broken limits of a flight, and says whether the plan's risk covers the
-    flight. If no flight breaks a limit, a single sentence says so.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan that the flights follow or with which they are compared.
-    flights : sequence of Flight
-        Flights of the run.
-
-    Yields
-    ------
-    str
-        Sentence for the report.
+    Each sentence says whether the plan's risk covers the flight. If no flight breaks a limit, a
+    single sentence says so.
     """
     if flights and not any(flight.broken_limits for flight in flights):
         yield "Every flight keeps every limit."

@@ -106,11 +106,11 @@ class MotionPrices:
     Attributes
     ----------
     momentum : ndarray, shape (3,)
-        Price of momentum along each world axis, W/N (J per N s).
+        Along the world axes, W/N (J per N s).
     displacement : ndarray, shape (3,)
-        Price of displacement along each world axis, N (J per m).
+        Along the world axes, N (J per m).
     motion : float
-        Price of kinetic energy, dimensionless (J per J).
+        Price of kinetic energy, dimensionless.
     """
 
     momentum: FloatArray
@@ -122,31 +122,22 @@ class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
     The coordinates of a pair are rotor speed, airspeed along the thrust and airspeed across the
-    thrust. With the power model `momentum`, the induced velocity replaces the rotor speed.
+    thrust. With the power model `momentum`, the induced velocity replaces the rotor speed. The
+    module docstring defines H. Some methods use H without `_constant`, its terms that are equal for
+    all pairs.
 
-    The module docstring defines H. `_constant` returns its terms that are equal for all pairs.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario whose limits on the rotor speed and on the speed of the vehicle bound the pairs.
-    dynamics : Dynamics
-        Dynamics of the vehicle in the actual steady wind; in still air if `winds` is given.
-    standing : ndarray, shape (3,)
-        Thrust that holds the vehicle still at zero airspeed, N.
-    most_thrust : float
-        Largest thrust of all rotors together, N.
-    winds : ndarray, shape (n_winds, 3), optional
-        Corners of a polyhedron that contains every wind of the mission, m/s; by default the steady
-        wind of the dynamics.
+    The limits of `scenario` on rotor speed and vehicle speed, and the thrust `most_thrust` [N] of
+    all rotors, bound the pairs. `winds` [m/s], shape (n_winds, 3), are the corners of a polyhedron
+    of all winds of the mission. By default, the wind is the steady wind of `dynamics`; if `winds`
+    is given, `dynamics` is that of still air.
 
     Attributes
     ----------
     standing : ndarray, shape (3,)
-        As the parameter.
+        Thrust that holds the vehicle still at zero airspeed, N.
     fastest : float
-        Upper limit on the airspeed, m/s. If it is infinite, no bound exists, and the searches over
-        the pairs must not be called.
+        Upper limit on the airspeed, m/s. If it is infinite, no bound exists, and no search may be
+        called.
     """
 
     def __init__(
@@ -233,7 +224,8 @@ class Pairs:
         """Return H and its parts at n pairs of thrust and airspeed, shape (8, n).
 
         The rows are H [W] without `_constant`, thrust [N], rotor speed [rad/s], margin, air force
-        across and along the thrust [N], power [W], excess [W].
+        across and along the thrust [N], power [W], excess [W]. `_of_rotors` explains margin and
+        excess.
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         # H and power become lower bounds for rotors with unequal speeds, too.
@@ -276,21 +268,8 @@ class Pairs:
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
         """Return the four numbers by which the prices enter the minimisation of H over the pairs.
 
-         See docs/theory/bound.md, eq.
-        (16).
-
-        Parameters
-        ----------
-        prices : MotionPrices
-            Prices p of momentum, w of displacement and eta of kinetic energy.
-        mass : float
-            Mass as a fraction of the mass at the start.
-
-        Returns
-        -------
-        tuple of 4 float
-            The length of p, the component of q along p, the length of the component of q across p,
-            and eta. The vector q is w - eta s, where s is `standing` times `mass`.
+        With q = w - eta * mass * `standing`, they are length(p), the components of q along and
+        across p, and eta: docs/theory/bound.md, eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -311,27 +290,10 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.displacement @ wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Search by sampling for the least value of H over all pairs and winds.
+        """Return the least sampled H over all pairs and winds [W], and rows for `_Program`.
 
-        The value found may lie above the true minimum; `least` returns a proven lower bound. Each
-        returned pair becomes a constraint of the linear program for the prices (`_Program`).
-
-        Parameters
-        ----------
-        prices : MotionPrices
-            Multipliers in H.
-        mass : float
-            Mass, as a fraction of the mass at the start.
-
-        Returns
-        -------
-        float
-            Least value of H found [W].
-        list of ndarray, shape (8,)
-            One array for each pair at one of the lowest local minima of H: the power of the pair
-            [W], then the derivatives of H with respect to the prices of momentum (3) [N],
-            displacement (3) [m/s] and kinetic energy (1) [W]. If `standing` is vertical, each pair
-            is followed by seven copies, rotated about the vertical.
+        The true minimum may be lower. A row has the power [W] of a pair of low H, then the
+        derivatives of H by the prices of momentum, displacement and kinetic energy.
         """
         minima = []
         for wind in self._winds:
@@ -347,21 +309,10 @@ class Pairs:
     def least_through_air(
         self, prices: Sequence[MotionPrices], above: FloatArray, tolerance: float
     ) -> FloatArray:
-        """Return proven lower bounds on G, the least H over all pairs in still air, shape (n,) [W].
+        """Return proven lower bounds on G of the module `study.potential`, shape (n,) [W].
 
-        Implements docs/theory/bound.md, eq. (23).
-
-        Parameters
-        ----------
-        prices : sequence of n MotionPrices
-            Prices in G. The price of momentum is that in the wind: a in the module
-            `study.potential`.
-        above : ndarray, shape (n,)
-            Upper bound on G for each item of `prices` [W], such as the value of H at a sampled
-            pair. The search is faster if this bound is close to G.
-        tolerance : float
-            Each bound is at most this amount below G [W]. If the search ends early, after too many
-            boxes (ranges of pairs), a bound can be further below G.
+        Implements docs/theory/bound.md, eq. (23). `prices` has the prices a of momentum, `above`
+        upper bounds on G. Unless the search ends early, the error is at most `tolerance` [W].
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
         numbers = np.array([self.numbers(p, 1.0) for p in prices]).T
@@ -376,9 +327,7 @@ class Pairs:
     def samples(self) -> FloatArray:
         """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
-        The thrust of the pairs is 0.3 to 1.8 times the length of `standing`.
-
-        The rows are thrust [N], force of the air along and across the thrust [N], power [W], and
+        The rows are thrust [N], force of the air along and across the thrust [N], power [W],
         airspeed along and across the thrust [m/s].
         """
         sides = self._edges()
@@ -456,15 +405,8 @@ class Pairs:
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
         """Return a proven lower bound on H over all pairs and winds, by branch and bound [W].
 
-        Parameters
-        ----------
-        prices : MotionPrices
-            Prices on one leg of the flight.
-        mass : float
-            Mass on the leg as a fraction of the mass at the start.
-        tolerance : float
-            The result is at most this amount below the least H [W]. If the search ends early, after
-            too many boxes (ranges of pairs), the difference can be larger.
+        It is at most `tolerance` [W] below the least H, unless the search ends after too many
+        boxes. `mass` is a fraction of the mass at the start.
         """
         sampled = self.cheapest(prices, mass)[0]
         # The least H over the pairs is concave in the wind, so its minimum over all winds is at a
@@ -587,19 +529,8 @@ def bound_of_pairs(
 ) -> float:
     """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
-    The prices come from `prices_of_pairs`. See docs/theory/bound.md, eq. (19).
-
-    Parameters
-    ----------
-    pairs : Pairs
-        Pairs of thrust and airspeed of the vehicle.
-    legs : sequence of Leg
-        Legs of the flight, from `legs.legs_of`.
-    shared : sequence of tuple of float
-        Least and greatest duration of each group of legs (the legs between two fixed times), from
-        `legs.legs_of`, s.
-    power : float
-        Power of hover [W]. Tolerances are fractions of this power.
+    Implements docs/theory/bound.md, eq. (19). Tolerances are fractions of `power`, the power of
+    hover [W]. `legs_of` gives `legs` and `shared`.
     """
     prices, program = prices_of_pairs(pairs, legs, shared, power)
     tolerance = POWER_TOLERANCE * power
@@ -613,34 +544,15 @@ def prices_of_pairs(
 ) -> tuple[list[MotionPrices], _Program]:
     """Search for the prices that give the largest lower bound on a flight's energy.
 
-    The bound during the search is approximate, because the least H is sampled. The method is that
-    of cutting planes (Kelley, 1960): in each round, the pairs of least H at the present prices
-    become constraints of a linear program.
-
-    Parameters
-    ----------
-    pairs : Pairs
-        Pairs of thrust and airspeed of the vehicle.
-    legs : sequence of Leg
-        Legs of the flight, from `legs.legs_of`.
-    shared : sequence of tuple of float
-        Least and greatest duration of each group of legs (the legs between two fixed times), from
-        `legs.legs_of`, s.
-    power : float
-        Power of hover [W]. Tolerances are fractions of this power.
-
-    Returns
-    -------
-    list of MotionPrices
-        The best prices found, for each leg.
-    _Program
-        The linear program of the search; its method `bound` computes the lower bound from prices
-        and proven values of the least H.
+    Return the best prices on each leg, and the linear program, which computes the bound from proven
+    values of H. Tolerances are fractions of `power`, the power of hover [W].
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)
     best, centre = -inf, program.start
     tried = centre
+    # Method of cutting planes (Kelley, 1960): in each round, the pairs of least H at the present
+    # prices become constraints. The bound is approximate, because the least H is sampled.
     for _ in range(_ROUNDS):
         prices, least = program.prices(tried), []
         for k, leg in enumerate(legs):

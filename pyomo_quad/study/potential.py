@@ -26,8 +26,7 @@ G(o + eta W, q) >= h + q . W.
 G is a concave function of a and q together. Therefore
 
 - linear interpolation between proven values of G gives lower bounds on G;
-- the allowed gradients in a wind form a convex set, which an inscribed polygon represents; its
-  corners lie in equally spaced directions, of which the first is the direction of a;
+- the allowed gradients in a wind form a convex set, which an inscribed polygon represents;
 - a gradient that is allowed at the corners of the rectangle of a cell's winds is allowed in all
   winds of the cell.
 
@@ -75,20 +74,19 @@ _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 class PlacePrices:
     """Prices in the bound by a potential, which are equal at all places of a wind field.
 
-    They are the Lagrange multipliers of the changes of momentum, kinetic energy and height that the
-    mission fixes.
+    They are multipliers of the changes that the mission fixes. The module docstring defines o, eta
+    and h.
 
     Attributes
     ----------
     offset : ndarray, shape (3,)
-        Price of momentum where there is no wind (o) [W/N, which is J per N s].
+        Price o of momentum where there is no wind [W/N].
     motion : float
-        Price of kinetic energy (eta), dimensionless.
+        Price eta of kinetic energy.
     climb : float
         Price of vertical displacement [N].
     power : float
-        Price of time (h) [W]: the constant in the condition on the potential, which the docstring
-        of this module states.
+        Price h of time [W].
     """
 
     offset: FloatArray
@@ -120,25 +118,8 @@ class PlacePrices:
     ) -> GradientTable:
         """Tabulate the function G over horizontal prices of momentum and gradients of a potential.
 
-        G depends on their lengths and on the angle between them. The other prices are those of this
-        object.
-
-        Parameters
-        ----------
-        least : callable
-            Takes a sequence of n sets of prices; returns G, or lower bounds on G, for each set,
-            shape (n,) [W].
-        sizes : ndarray, shape (n_sizes,)
-            Lengths of the horizontal part of the price of momentum [W/N], increasing.
-        lengths : ndarray, shape (n_directions, n_lengths)
-            Lengths of the horizontal gradient [N], one row for each direction of the gradient; the
-            first length in each row is zero. There are `_DIRECTIONS` directions, equally spaced
-            over half a turn from the price of momentum.
-
-        Returns
-        -------
-        GradientTable
-            The values of G, or the lower bounds on G, at all combinations of `sizes` and `lengths`.
+        `least` takes n sets of prices and returns G, or lower bounds on it, shape (n,) [W]. `sizes`
+        and `lengths` are those of `GradientTable`. This object gives the other prices.
         """
         angles = np.pi * np.arange(_DIRECTIONS) / (_DIRECTIONS - 1)
         aside = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
@@ -161,21 +142,19 @@ class PlacePrices:
 
 @dataclass(frozen=True, kw_only=True)
 class GradientTable:
-    """Table of the function G, which limits the gradient of a potential.
+    """Table of the function G over the lengths of price and gradient and the angle between them.
 
-    The module docstring defines G. The table holds G for magnitudes of two horizontal vectors, the
-    price of momentum and the gradient of the potential, and for angles between them.
+    The module docstring defines G. The price of momentum and the gradient are horizontal. There are
+    `_DIRECTIONS` angles from 0 to half a turn; others follow by symmetry.
 
     Attributes
     ----------
     sizes : ndarray, shape (n_sizes,)
-        Magnitudes of the price of momentum [W/N], increasing.
+        Lengths of the price [W/N].
     lengths : ndarray, shape (n_directions, n_lengths)
-        Magnitudes of the gradient [N], increasing from zero, one row for each angle. There are
-        `_DIRECTIONS` angles, equally spaced from 0 to half a turn. The values over the other half
-        turn follow by symmetry.
+        Lengths of the gradient [N], from zero.
     values : ndarray, shape (n_sizes, n_directions, n_lengths)
-        Values of G, or lower bounds on G [W].
+        G or lower bounds on G [W].
     """
 
     sizes: FloatArray
@@ -183,31 +162,21 @@ class GradientTable:
     values: FloatArray
 
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
-        """Return the allowed gradients of a potential in each of n winds, as polygons.
+        """Return the allowed gradients of a potential in n winds, shape (n, 2) [m/s], as polygons.
 
-        Implements docs/theory/bound.md, eq. (26).
-
-        Parameters
-        ----------
-        prices : PlacePrices
-            Prices with which the table was computed. The attribute `power` may differ, because the
-            table is independent of it.
-        winds : ndarray, shape (n, 2)
-            Horizontal winds [m/s].
-
-        Returns
-        -------
-        ndarray or None, shape (n, n_corners, 2)
-            Corners of the polygon of each wind, counter-clockwise [N, which is J/m]. The corners
-            lie in the directions of the table, which cover half a turn, and in their mirror images.
-            None if a wind forbids the gradient zero.
+        The result has their corners [N], shape (n, n_corners, 2), counter-clockwise. None if a wind
+        forbids the gradient zero. Implements docs/theory/bound.md, eq. (26).
         """
+        # The table does not depend on the price of time, so `prices.power` may differ from that of
+        # its computation.
         momentum = prices.offset[:2] + prices.motion * winds
         size, turned = np.linalg.norm(momentum, axis=1), np.arctan2(*momentum.T[::-1])
         above = np.clip(np.searchsorted(self.sizes, size), 1, len(self.sizes) - 1)
         share = (size - self.sizes[above - 1]) / (self.sizes[above] - self.sizes[above - 1])
         share = share[:, None, None]
         between = (1 - share) * self.values[above - 1] + share * self.values[above]
+        # The corners lie in the directions of the table, which cover half a turn from the price of
+        # momentum, and in their mirror images.
         round_about = np.arange(2 * (_DIRECTIONS - 1))
         number = np.minimum(round_about, 2 * (_DIRECTIONS - 1) - round_about)
         angles = turned[:, None] + np.pi * round_about / (_DIRECTIONS - 1)
@@ -221,10 +190,10 @@ class GradientTable:
 
 
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
-    """Return where concave functions fall to zero, by linear interpolation between samples.
+    """Return the place where each of many concave functions falls to zero, by linear interpolation.
 
-    `at` has the shape (m, k), `values` (n, m, k). The first sample of a function is positive. If
-    all are, its result is the last argument.
+    `at`, shape (m, k), holds the places of the samples `values`, shape (n, m, k). The first sample
+    is positive. If all samples are positive, the result is the last place.
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -314,17 +283,10 @@ class Places:
         return [(int(node[i + 1, j + 1]), u + v - 1.0), *aside]
 
     def rise(self, gradients: FloatArray) -> float:
-        """Return the largest rise of a potential from start to goal [J], with a limited gradient.
+        """Return the largest rise of a potential from start to goal [J]; 0 if the solver fails.
 
-        The result allows for the tolerances of the linear program's solver. It is 0 if the solver
-        fails. Implements docs/theory/bound.md, eq. (27).
-
-        Parameters
-        ----------
-        gradients : ndarray, shape (4 * n_cells, n, 2)
-            Polygons with n vertices that bound the gradient [N]. Each cell that a flight may enter
-            has four, one for each of its winds in the attribute `corners`. The gradient must lie
-            inside all four. The polygons are ordered cell by cell.
+        `gradients`, shape (4 * n_cells, n, 2), are polygons [N] for the winds in `corners`. In each
+        cell, the gradient lies inside all four. Implements docs/theory/bound.md, eq. (27).
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -397,8 +359,8 @@ class _Search:
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
         """Return a lower bound on the energy of every flight [J], from a table of the function G.
 
-        It is proven if the values in `table` are, and minus infinity if a wind forbids even the
-        gradient zero.
+        The bound is proven if `table` has proven lower bounds on G. It is minus infinity if a wind
+        forbids even the gradient zero.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -461,30 +423,11 @@ def bound_by_places(
 ) -> float:
     """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
-    The function searches for prices that give a large bound. Implements docs/theory/bound.md, eq.
-    (25).
-
-    Parameters
-    ----------
-    pairs_in : callable
-        Takes the corners of a polyhedron of winds, shape (n, 3) [m/s]; returns the vehicle's pairs
-        of thrust and airspeed for these winds, a `Pairs`.
-    winds : ndarray, shape (n_winds, 3)
-        Corners of the polyhedron of all winds of the field, all horizontal [m/s].
-    places : Places
-        Places of the mission.
-    leg : Leg
-        The flight from start to goal.
-    durations : tuple of float
-        Least and greatest duration [s].
-    power : float
-        Power of hover [W]. Tolerances are fractions of this power.
-
-    Returns
-    -------
-    float
-        The bound; minus infinity if no prices were found that give a bound.
+    `pairs_in` takes corners of a polyhedron of winds, shape (n, 3), and returns `Pairs`. Minus
+    infinity if no prices give a bound. Implements docs/theory/bound.md, eq. (25).
     """
+    # `winds` are the corners of the polyhedron of all winds of the field, all horizontal.
+    # Tolerances are fractions of `power`, the power of hover [W].
     search = _Search(pairs_in(winds), places, durations, power)
     mean = np.array([*places.corners.mean(axis=(0, 1)), 0.0])
     for spread in _SPREADS:

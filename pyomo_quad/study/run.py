@@ -51,36 +51,36 @@ class RunResult(Summarised):
     scenario : Scenario
         Scenario that was run.
     plan : Plan
-        Plan of the scenario. Its attribute `status` tells whether the solve succeeded and whether
-        simulation confirmed the plan.
+        Plan of the scenario. Its `status` tells whether the solve succeeded and whether simulation
+        confirmed the plan.
     flights : tuple of Flight
         The flight of the plan first, then the simulated flights; empty if the solve failed.
     comparison : DataFrame
-        One row per flight, see `study.comparison`.
+        One row per flight, columns of `ComparisonColumn` in `study.comparison`.
     certificate : Certificate
         Lower bound on the energy of the mission in the actual wind.
     adaptation : DataFrame or None
-        Effect of the controller's adaptation to the actual wind, see `comparison.adaptation_study`;
-        None in calm air, or if the plan or one of the two flights could not be simulated.
+        Effect of the controller's adaptation to the wind, from `comparison.adaptation_study`; None
+        in calm air, or if it could not be simulated.
     front : DataFrame
-        Energy-time front: least energy against duration, see `study.front`; empty if the mission
-        fixes its duration, or if simulation did not confirm the plan to the requested accuracy.
+        Energy-time front: least energy against duration, see `study.front`; empty if the duration
+        is fixed or the plan is not verified (`Plan.is_verified`).
     aims : DataFrame
-        Comparison of the plans of least energy and of least battery charge, from the function
-        `study.aims.energy_and_charge`, whose docstring states when the table is empty.
+        Plans of least energy and of least battery charge, from `study.aims.energy_and_charge`;
+        empty if the plan is not verified, or the function finds no other plan to compare with.
     timings : mapping
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
-        "certify" is the time for the lower bound. "front" is the time for the tables `front` and
-        `aims`. "fly" is the remaining time from the end of planning to the end of the last flight,
-        without the time of `meanwhile` (see `run_scenario`).
+        "certify" is the time for the lower bound, "front" that for the tables `front` and `aims`.
+        "fly" is the time from the end of planning to the end of the last flight, less "certify",
+        "front" and the time of `meanwhile` (see `run_scenario`).
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
-        Settings of the autopilot tuned for least energy, and all settings tried; None if no
-        autopilot was tuned, or if the tuning failed.
+        The tuned autopilot with all settings tried; None if no autopilot was tuned, or if the
+        tuning failed.
     often : InTurbulence or None
-        Many flights of the plan, and of an autopilot, in winds with turbulence. None if the
-        scenario has no turbulence, the plan must not be flown, or a simulation fails.
+        Many flights in turbulence, of the plan and of an autopilot. None without turbulence, if the
+        plan must not be flown, or if a simulation fails.
     """
 
     scenario: Scenario
@@ -251,7 +251,7 @@ def run_scenario(
 
     A failed solve or flight raises no exception. At the time limit (`solver.time_limit`), all
     solves and simulations stop; a warning then replaces each unfinished flight. On Linux, the
-    flights run in parallel if `OMP_NUM_THREADS=1`.
+    flights run in parallel if the environment variable `OMP_NUM_THREADS` is 1.
 
     Parameters
     ----------

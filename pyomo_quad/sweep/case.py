@@ -1,8 +1,9 @@
 """Solution of one case of a sweep: the worker's input, the solve, and the output columns.
 
-A case is one variant of the sweep's base scenario. A worker receives a `CaseTask`. It plans the
-case's flight, or simulates a controller that tracks the base scenario's plan in the case's
-scenario. It returns a `CaseOutcome`, the row of the case in the sweep's result table.
+A case is one variant of the sweep's base scenario. A worker receives a `CaseTask` and plans the
+case's flight. With the task `FLY_PLAN`, it instead simulates a controller in the case's scenario
+that follows the base scenario's plan. It returns a `CaseOutcome`, the row of the case in the
+sweep's result table.
 """
 
 import importlib
@@ -64,29 +65,24 @@ class CaseTask:
     Attributes
     ----------
     position : int
-        Row number of the case in the sweep's result table, from 0.
+        Row number of the case, from 0.
     key : str
-        Identifier of the case: hash of its values of the scenario fields that vary.
+        Hash of the values that vary.
     solver : str
-        Name, as ``module:function``, of the case solver: the function that takes this object and
-        returns a `CaseResult`. Only the program chooses the case solver, so that a study file
-        cannot run code of its own.
-    scenario : str
-        The case's complete scenario as JSON text.
-    base : str
-        The complete base scenario of the sweep as JSON text.
+        Case solver, as ``module:function``; takes this object, returns a `CaseResult`.
+    scenario, base : str
+        The case's and the base scenario as JSON text.
     task : StudyTask
-        Whether to plan the case's flight or to fly the base scenario's plan.
+        Whether to plan, or to fly the base scenario's plan.
     baselines : tuple of Reference
-        Reference trajectories that the controller tracks in each case, for comparison with the
-        plan.
+        Trajectories that the controller also tracks.
     warm_start : bytes or None
-        Packed solution of the parent, a neighbouring case that was solved before. It is the initial
-        guess of this case. None if there is no such solution.
+        Packed solution of a neighbouring case, the initial guess.
     """
 
     position: int
     key: str
+    # Only the program chooses the case solver, so that a study file cannot run code of its own.
     solver: str
     scenario: str
     base: str
@@ -102,10 +98,10 @@ class CaseResult:
     Attributes
     ----------
     values : mapping
-        Numeric value of each output column, by column name.
+        Numeric value of each output column.
     warm_start : bytes or None
-        Packed solution. It is the initial guess of the children, the neighbouring cases that are
-        solved after this case. None without a solution.
+        Packed solution: the initial guess of the children, the neighbouring cases that are solved
+        after this case.
     reason : str
         Reason of the failure; empty for a success. After a failure, `values` still holds the
         numbers that could be computed.
@@ -128,19 +124,18 @@ class CaseOutcome:
     position, key : int, str
         Row number of the case, from 0, and hash of its field values.
     status : CaseStatus
-        Whether the case finished, failed, or was lost because its worker died.
+        Whether the case finished, failed or was lost.
     reason : str
-        Reason why the case did not finish; empty if it finished.
+        Why the case did not finish; else empty.
     values : mapping
-        Numeric value of each output column, by column name.
+        Value of each output column.
     warm_start : bytes or None
-        Packed initial guess of the children, the neighbouring cases that are solved after this
-        case. If this case was solved, it is the solution. Otherwise it is the guess from which this
-        case started. None if this case has neither.
+        Packed initial guess of later neighbours: the solution or, without one, this case's own
+        guess.
     seconds : float
-        Wall time of the solve, in s.
+        Wall time of the solve.
     worker : str
-        Host name and process number of the worker.
+        Host name and process number.
     """
 
     position: int
@@ -194,20 +189,10 @@ class CaseOutcome:
 
 
 def perform(task: CaseTask) -> CaseOutcome:
-    """Solve one case of a sweep in this process.
+    """Solve one case of a sweep in this process, and return its row.
 
     An exception in the case solver becomes a row with the status `FAILED`, so that a fault in one
     case does not end the sweep.
-
-    Parameters
-    ----------
-    task : CaseTask
-        The case's scenario, the task (plan or fly), and the initial guess.
-
-    Returns
-    -------
-    CaseOutcome
-        Row of the case, with the wall time and the name of this process.
     """
     started = time.perf_counter()
     module, _, function = task.solver.partition(":")
@@ -348,15 +333,7 @@ def _of_a_baseline(reference: Reference) -> _Columns:
 def unit_of_column(name: str) -> str:
     """Return the unit of an output column of a sweep, spelled as in the column's name.
 
-    Parameters
-    ----------
-    name : str
-        Name of the column.
-
-    Returns
-    -------
-    str
-        For example "J" for ``energy_J``; empty for a column without unit.
+    For example, the unit of ``energy_J`` is "J"; empty for a column without unit.
     """
     tables = (_OF_A_PLAN, _OF_A_PLAN_FLOWN, *map(_of_a_baseline, Reference))
     return next((table[name][0] for table in tables if name in table), "")
@@ -365,13 +342,7 @@ def unit_of_column(name: str) -> str:
 def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str, ...]:
     """Return the names of all output columns that a sweep can have, in the order of its table.
 
-    Parameters
-    ----------
-    task : StudyTask
-        Whether each case is planned, or flies the base scenario's plan.
-    baselines : iterable of Reference
-        Reference trajectories that the controller also flies if each case is planned. Each
-        trajectory adds its own columns.
+    If each case is planned, each reference trajectory in `baselines` adds its own columns.
     """
     if task is StudyTask.FLY_PLAN:
         return tuple(_OF_A_PLAN_FLOWN)
@@ -382,21 +353,9 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
 def unknown_column(
     names: Iterable[str], task: StudyTask, baselines: Iterable[Reference]
 ) -> str | None:
-    """Return the first of some names that is not an output column of the sweep.
+    """Return the first of some names that is not an output column of the sweep, or None.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Column names that a study file asks for.
-    task : StudyTask
-        Whether each case is planned, or flies the base scenario's plan.
-    baselines : iterable of Reference
-        Reference trajectories that the controller also flies if each case is planned.
-
-    Returns
-    -------
-    str or None
-        None if all names are output columns.
+    `names` are the columns that a study file asks for.
     """
     known = output_columns(task, baselines)
     return next((name for name in names if name not in known), None)
@@ -431,12 +390,9 @@ def pack(start: WarmStart) -> bytes:
 
 
 def unpack(packed: bytes) -> WarmStart | None:
-    """Unpack a warm start that `pack` wrote.
+    """Unpack a warm start that `pack` wrote, for `Planner.solve`.
 
-    Returns
-    -------
-    WarmStart or None
-        Initial guess for `Planner.solve`; None if the bytes are damaged.
+    The result is None if the bytes are damaged.
     """
     try:
         with np.load(BytesIO(packed), allow_pickle=False) as file:
@@ -450,16 +406,6 @@ def solve_case(task: CaseTask) -> CaseResult:
 
     All sweeps that the commands run use this function as their case solver. The compiled model is
     kept for later cases.
-
-    Parameters
-    ----------
-    task : CaseTask
-        The case's scenario, the task (plan or fly), and the initial guess.
-
-    Returns
-    -------
-    CaseResult
-        Output columns, the warm start for neighbouring cases, and the reason if the case failed.
     """
     with _BENCH.lock:
         scenario = Scenario.model_validate_json(task.scenario)

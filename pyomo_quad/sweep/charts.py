@@ -42,23 +42,8 @@ _BAR: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0}
 def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[float]) -> Figure:
     """Draw an output quantity against the mission's duration, and its Pareto front.
 
-    A case is on the front of its curve if every shorter case has a larger quantity. A star marks
-    the duration with the least quantity.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Finished cases. Along each curve only the field on the horizontal axis varies. All other
-        fields are constant.
-    quantity : Quantity
-        Output column to draw; smaller is better.
-    tried : sequence of float
-        All durations of the sweep, in s, including those of failed cases.
-
-    Returns
-    -------
-    Figure
-        Left panel: all durations; right panel: the front near the best duration.
+    A case is on its curve's front if every shorter case has a larger quantity. A star marks the
+    duration with the least quantity. `tried` has all durations of the sweep [s].
     """
     figure, panels = panel_grid(
         1,
@@ -69,6 +54,7 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[floa
         legend_entries=len(curves) + 2,
         share_time=False,
     )
+    # Left: all durations. Right: the front near the best duration.
     whole, front = panels[0]
     duration = field_quantity(DURATION_FIELD)
     for row, (curve, style) in enumerate(zip(curves, cycle(SERIES_STYLES), strict=False)):
@@ -85,20 +71,7 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[floa
 def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quantity]) -> Figure:
     """Draw several output quantities against one scenario field, one panel for each quantity.
 
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Finished cases. Along each curve only the field on the horizontal axis varies. All other
-        fields are constant.
-    field : str
-        Dotted path of the scenario field on the horizontal axes.
-    quantities : sequence of Quantity
-        Output columns to draw.
-
-    Returns
-    -------
-    Figure
-        One panel for each quantity, arranged in two columns.
+    Along each curve, only the field varies. The panels are arranged in two columns.
     """
     figure, panels = _pairs(
         len(quantities),
@@ -214,14 +187,8 @@ _STAR: dict[str, Any] = {
 def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
     """Draw an output quantity over two numeric scenario fields as a grid of coloured cells.
 
-    Parameters
-    ----------
-    plane : DataFrame
-        Value of the quantity, in the unit of its column. The index and the columns are the values
-        of the two fields, and their names are the fields' dotted paths. A failed case has the value
-        NaN; a cross marks its cell.
-    quantity : Quantity
-        Output column that is drawn; gives the label and the printed unit.
+    `plane` holds its values in the column's unit. Index and columns are the values of the fields,
+    named by their dotted paths. A cross marks a failed case (NaN).
     """
     across, up = field_quantity(str(plane.columns.name)), field_quantity(str(plane.index.name))
     height = min(5.0, _EDGES + _CELL * len(plane.index))
@@ -260,18 +227,7 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     """Draw an output quantity against the wind direction, in polar coordinates.
 
     The centre is the least value of all curves, not zero. A star marks the worst direction of each
-    curve (`Quantity.worst_row`). A curve that varies by less than 1 % of the range of all curves
-    has no star.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Finished cases over the wind direction. There is one curve for each combination of values
-        of the other fields that vary in the sweep.
-    field : str
-        Dotted path of the field with the direction that the wind blows to, in rad.
-    quantity : Quantity
-        Output column to draw.
+    curve (`Quantity.worst_row`). `field` is the direction that the wind blows to, in rad.
     """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.04, 0.07, 0.55, 0.76), projection="polar")
@@ -299,14 +255,6 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
     """Return the least and the greatest value of a quantity over all curves of a wind rose.
 
     The values are in the quantity's printed unit.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Finished cases over the wind direction. There is one curve for each combination of values of
-        the other fields that vary in the sweep.
-    quantity : Quantity
-        Output column.
     """
     values = pd.concat([quantity.of(curve.rows) for curve in curves])
     return float(values.min()), float(values.max())
@@ -315,7 +263,8 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
 
-    The curve stays open if this adds a step of more than 1.5 times the greatest step.
+    If the gap between last and first direction exceeds 1.5 times the longest step, the curve stays
+    open.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)
@@ -335,17 +284,8 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
 
-    The first bar is the range over all cases. Texts name the cases, or the field's values, at the
-    ends of each bar. See `Sensitivity`.
-
-    Parameters
-    ----------
-    found : sequence of Sensitivity
-        Range of the quantity along each field, the widest first.
-    spread : Spread
-        Range of the quantity over all finished cases.
-    quantity : Quantity
-        Output column to draw.
+    The first bar is the range over all cases, with row numbers of cases at its ends. At the ends of
+    other bars stand values of the field.
     """
     height = _BAR_EDGES + _BAR_ROW * (1 + len(found))
     figure, axes = full_width(
@@ -388,8 +328,8 @@ def _draw_bar(
 ) -> None:
     """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
 
-    `ends` are in the unit of the column, `base` in the printed unit or NaN. The texts `reached`
-    stand at the ends.
+    `ends` are in the unit of the column, `base` in the printed unit or NaN if it is unknown. The
+    texts `reached` stand at the ends.
     """
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)
@@ -402,21 +342,9 @@ def _draw_bar(
 
 
 def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Figure:
-    """Draw a histogram of each output quantity over all cases.
+    """Draw a histogram of each output quantity over all cases, in two columns of panels.
 
     Lines mark the median and the 5 % and 95 % quantiles.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Finished cases of the sweep, one row each.
-    quantities : sequence of Quantity
-        Output columns to draw.
-
-    Returns
-    -------
-    Figure
-        One panel for each quantity, arranged in two columns.
     """
     figure, panels = _pairs(len(quantities), panel_height=2.0, left=0.5, share_time=False)
     style = SERIES_STYLES[0]
@@ -441,15 +369,6 @@ def draw_scatter(
     """Draw scatter plots of output quantities against scenario fields whose values are random.
 
     Each dot is one case. A row of panels belongs to one quantity, a column of panels to one field.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Finished cases of the sweep, one row each; columns are scenario fields and outputs.
-    fields : sequence of str
-        Dotted paths of the numeric scenario fields that the sweep draws at random.
-    quantities : sequence of Quantity
-        Output columns to draw.
     """
     figure, panels = panel_grid(
         len(quantities), len(fields), panel_height=1.6, left=0.62, gap=0.62, share_time=False

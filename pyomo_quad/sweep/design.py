@@ -70,18 +70,7 @@ class UniformSpread(Part):
     )
 
     def at(self, probabilities: np.ndarray) -> np.ndarray:
-        """Return the quantiles of the uniform distribution at the given probabilities.
-
-        Parameters
-        ----------
-        probabilities : ndarray, shape (n,)
-            Probabilities between 0 and 1.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Values below which the distribution has these probabilities, in the field's unit.
-        """
+        """Return the quantiles of the uniform distribution at probabilities between 0 and 1."""
         return self.low + (self.high - self.low) * probabilities
 
 
@@ -101,17 +90,9 @@ class NormalSpread(Part):
     )
 
     def at(self, probabilities: np.ndarray) -> np.ndarray:
-        """Return the quantiles of the normal distribution at the given probabilities.
+        """Return the quantiles of the normal distribution at probabilities between 0 and 1.
 
-        Parameters
-        ----------
-        probabilities : ndarray, shape (n,)
-            Probabilities strictly between 0 and 1; at 0 and 1 the quantile is infinite.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Values below which the distribution has these probabilities, in the field's unit.
+        At 0 and 1 the quantile is infinite.
         """
         return self.mean + self.standard_deviation * ndtri(probabilities)
 
@@ -178,28 +159,15 @@ class Axis(Part):
     def drawn_values(self, probabilities: np.ndarray) -> tuple[float, ...]:
         """Return the values of a random axis: quantiles of its distribution.
 
-        Parameters
-        ----------
-        probabilities : ndarray, shape (n,)
-            Random numbers strictly between 0 and 1.
-
-        Returns
-        -------
-        tuple of float
-            One value for each probability, in the field's unit; empty if the axis is not random.
+        The probabilities lie strictly between 0 and 1. If the axis is not random, the result is
+        empty.
         """
         spread = self.uniform or self.normal
         return rounded(spread.at(probabilities)) if spread is not None else ()
 
 
 def rounded(numbers: np.ndarray) -> tuple[float, ...]:
-    """Round numbers to twelve significant digits, the precision of the values of a sweep's fields.
-
-    Parameters
-    ----------
-    numbers : ndarray, shape (n,)
-        Any finite numbers.
-    """
+    """Round numbers to twelve significant digits, the precision of a sweep's field values."""
     return tuple(float(f"{number:.{_SIGNIFICANT_DIGITS}g}") for number in numbers)
 
 
@@ -262,13 +230,7 @@ class Dimension:
         return all(kind_of(step[0]) is float for step in self.steps)
 
     def values(self, path: str) -> list[Any]:
-        """Return the values that one field of the dimension takes, in the order of the steps.
-
-        Parameters
-        ----------
-        path : str
-            Dotted path of the field, one of the paths in the attribute `paths`.
-        """
+        """Return the values that one field of the dimension takes, in the order of the steps."""
         column = self.paths.index(path)
         return [step[column] for step in self.steps]
 
@@ -282,8 +244,8 @@ class SweepDesign:
     name, title, about : str
         Short name, title and first paragraph of the report, as in the study file.
     task : StudyTask
-        `OPTIMISE`: the minimum-energy flight of each case is planned. `FLY_PLAN`: only the flight
-        of the base scenario is planned, and the controller flies this plan in each case.
+        `OPTIMISE`: each case is planned. `FLY_PLAN`: the controller flies the base scenario's plan
+        in each case.
     baselines : tuple of Reference
         Reference trajectories that the controller flies in each case, for comparison.
     outputs, report_on : tuple of str
@@ -348,9 +310,9 @@ class SweepDesign:
         Raises
         ------
         ValueError
-            If a dimension has missing or wrong values, there are no dimensions or too many cases, a
-            field varies twice, an output column is unknown, `report_on` is empty, or the base
-            scenario is invalid. Only in the last case the message has several lines.
+            If a dimension is missing or has wrong values, the cases are too many, a field varies
+            twice, an output column is unknown, or `report_on` is empty. Also if the base scenario
+            is invalid.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):
@@ -452,12 +414,12 @@ class Case:
     position : int
         Row number of the case, from 0.
     key : str
-        Hash of the overrides. A case keeps its key when the study is extended.
+        Hash of the overrides, which stays when the study is extended.
     overrides : mapping
         Value of each field that varies, by its dotted path.
     parent : int or None
-        Position of the neighbouring case whose solution is the initial guess of this case. None for
-        the case that is solved first, and for all cases of the task `FLY_PLAN`.
+        Position of the neighbouring case whose solution is the initial guess. None for the first
+        solve, and for the task `FLY_PLAN`.
     """
 
     position: int
@@ -467,19 +429,7 @@ class Case:
 
 
 def expand(design: SweepDesign) -> tuple[Case, ...]:
-    """Return all cases of a sweep in row order: every combination of the dimensions' steps.
-
-    Parameters
-    ----------
-    design : SweepDesign
-        Specification of the sweep.
-
-    Returns
-    -------
-    tuple of Case
-        The cases. The key of each case is a hash of its field values. The parent of a case is the
-        neighbouring case whose solution is the initial guess.
-    """
+    """Return all cases of a sweep in row order: every combination of the dimensions' steps."""
     parents = [_step_parents(dimension) for dimension in design.dimensions]
     sizes = [len(dimension.steps) for dimension in design.dimensions]
     is_solved = design.task == StudyTask.OPTIMISE
@@ -504,35 +454,18 @@ def expand(design: SweepDesign) -> tuple[Case, ...]:
 def case_key(overrides: Mapping[str, Any]) -> str:
     """Return the key of a case: a hash of the field values that distinguish it.
 
-    Parameters
-    ----------
-    overrides : mapping
-        Value of each field that varies, by its dotted path.
-
-    Returns
-    -------
-    str
-        First 20 hexadecimal digits of the SHA-256 hash.
+    The key has the first 20 hexadecimal digits of the SHA-256 hash. `overrides` maps dotted paths
+    to values.
     """
     text = json.dumps(dict(overrides), sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
 
 
 def bisection_parents(count: int) -> list[int | None]:
-    """Arrange the sorted values of a field in a balanced bisection tree.
+    """Arrange the sorted values of a field in a bisection tree; return the index of each parent.
 
-    The root is the middle value; its children are the middles of the two halves, and so on. Parents
-    are solved first.
-
-    Parameters
-    ----------
-    count : int
-        Number of values.
-
-    Returns
-    -------
-    list of int or None
-        Index of each value's parent, in the order of the sorted values. None for the root.
+    The root is the middle value; its parent is None. Its children are the middles of the two
+    halves, and so on. Parents are solved first.
     """
     parents: list[int | None] = [None] * count
     # A solve waits only for its ancestors, at most about log2(count): many can run in parallel.

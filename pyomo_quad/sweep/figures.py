@@ -35,15 +35,8 @@ _MOST_CURVES = 7
 def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
     """List the figures of a sweep's report, each with a function that draws it.
 
-    Parameters
-    ----------
-    results : SweepResults
-        Design and rows of the sweep; at least one case has finished.
-
-    Returns
-    -------
-    tuple of Drawing
-        Figures that are possible with the scenario fields that vary.
+    The scenario fields that vary decide which figures are possible. At least one case must have
+    finished.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     listed = _Figures(results, quantities)

@@ -58,26 +58,14 @@ class Quantity:
 
 
 def field_quantity(path: str) -> Quantity:
-    """Return the printed name, unit and scale of a scenario field.
-
-    Parameters
-    ----------
-    path : str
-        Dotted path of the field.
-    """
+    """Return the printed name, unit and scale of a scenario field, given by its dotted path."""
     unit = field_unit(path)
     name = " ".join(path.split(".")[-2:]).replace("_", " ")
     return _quantity(path, name, _PRINTED.get(unit, unit))
 
 
 def output_quantity(column: str) -> Quantity:
-    """Return the printed name, unit and scale of an output column of a sweep.
-
-    Parameters
-    ----------
-    column : str
-        Name of the column.
-    """
+    """Return the printed name, unit and scale of an output column of a sweep."""
     unit = unit_of_column(column)
     name = column.removesuffix(f"_{unit}").replace("_", " ")
     return _quantity(column, name, _PRINTED.get(unit, unit))
@@ -115,12 +103,7 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
     """Return the name of a curve for a chart's legend: the field values that all its cases share.
 
     An example is "mass 1.2 kg, momentum". A text value is printed without the name of its field.
-
-    Parameters
-    ----------
-    fixed : mapping
-        Value of each field that varies in the sweep but is constant along the curve, by its dotted
-        path. If the mapping is empty, the name is "all cases".
+    Without fields in `fixed`, the name is "all cases".
     """
     parts = [
         value.replace("_", " ")
@@ -134,13 +117,8 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 def case_name(fields: Mapping[str, Any]) -> str:
     """Return the printed name of a sweep's central case: its field values, such as "a.b = 1 m".
 
-    The docstring of `sweep.statistics` defines the central case.
-
-    Parameters
-    ----------
-    fields : mapping
-        Value of each field to name, by its dotted path. Random fields are left out. The mapping is
-        empty if all fields that vary are random. The name is then "the middle of the draws".
+    The docstring of `sweep.statistics` defines the central case. If all fields that vary are
+    random, `fields` is empty and the name is "the middle of the draws".
     """
     parts = [f"{path} = {_with_unit(path, value)}" for path, value in fields.items()]
     return ", ".join(parts) or "the middle of the draws"

@@ -91,7 +91,7 @@ class Sweep:
         Base scenario of the design.
     store : ResultStore
         Result store, open for writing. Cases that finished or failed in an earlier run are not
-        solved again. Cases that were lost because their worker died, and their descendants, are.
+        solved again, unless they descend from a case that was lost because its worker died.
     listener : SweepListener
         Object that receives each row after the row was stored.
     solver : str, optional
@@ -271,25 +271,8 @@ def case_task(
 ) -> CaseTask | CaseOutcome:
     """Make the input with which a worker solves one case of a sweep.
 
-    Parameters
-    ----------
-    design : SweepDesign
-        Specification of the sweep.
-    base : Scenario
-        Base scenario, whose fields the case changes.
-    case : Case
-        The case.
-    solver : str
-        Function that solves a case, as ``module:function``.
-    warm_start : bytes or None
-        Initial guess, packed into bytes: the solution of the case's parent. None if there is no
-        such solution.
-
-    Returns
-    -------
-    CaseTask or CaseOutcome
-        `CaseTask`: the input of the worker. `CaseOutcome`: the row of a failed case, if the case's
-        field values make the scenario invalid.
+    `warm_start` is the packed solution of the case's parent. If the case's field values make the
+    scenario invalid, the result is instead the row of a failed case.
     """
     task = CaseTask(
         position=case.position,
@@ -342,9 +325,8 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. Without stored results, one case is
-    solved, and then a neighbour that starts from its solution. The time of the neighbour counts. If
-    no case starts from a neighbour, the time of the first case counts.
+    The time per case is the mean over the stored results. Without any, one case is solved first,
+    then a neighbour from its solution. The time of the last solve counts.
 
     Parameters
     ----------

@@ -3,9 +3,8 @@
 A quantity is an output column, such as the energy. A dimension is one scenario field, or several
 fields that change together.
 
-Sensitivities and heat maps vary one or two dimensions, and keep the other fields as in the central
-case. The central case has the field values of the base scenario. A field whose base value is not in
-the sweep has the middle of its values.
+The central case has the field values of the base scenario. A field whose base value is not in the
+sweep has the middle of its values. Sensitivities and heat maps vary the central case.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,23 +47,21 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies alone from the central case.
 
-    If the field has given values, the ends are the least and the greatest mean over the draws of
-    the random fields. If the field has random values, the ends are values of a linear least-squares
-    fit over all random fields: at the 5 % and 95 % quantiles of the field, with the others at their
-    means.
+    For a field with given values, the quantity is its mean over the draws of the random fields. For
+    a random field, it is a linear least-squares fit at the 5 % and 95 % quantiles of the field and
+    the means of the other random fields.
 
     Attributes
     ----------
     field : str
-        Dotted path of the scenario field that varies. If several fields change together, the path
-        of the first field.
+        Dotted path; of several fields that change together, the first.
     least, greatest : float
-        Least and greatest value of the quantity, in the unit of its column.
+        Ends of the range, in the unit of the column.
     least_at, greatest_at : float
-        Values of the field at which the quantity is least and greatest.
+        Values of the field at these ends.
     base : float
-        The quantity in the central case; NaN if the central case failed. For a random field: the
-        fitted function at the means of all random fields.
+        The quantity in the central case, NaN if it failed; for a random field, the fit at the means
+        of all random fields.
     """
 
     field: str
@@ -87,12 +84,12 @@ class Spread:
     Attributes
     ----------
     least, greatest : float
-        Least and greatest value of the quantity, in the unit of its column.
+        Ends of the range, in the unit of the column.
     least_case, greatest_case : int
         Row numbers of the cases with these values.
     linear_share : float
-        Fraction of the quantity's variance that a linear fit in the random fields explains: the
-        coefficient of determination. NaN without random fields, or with too few cases for a fit.
+        Share of the variance that a linear fit over the random fields explains (coefficient of
+        determination). NaN without random fields, or with too few cases.
     """
 
     least: float
@@ -185,31 +182,15 @@ class SweepResults:
     def dimension_of(self, field: str) -> Dimension | None:
         """Return the dimension of the sweep in which a scenario field varies.
 
-        Parameters
-        ----------
-        field : str
-            Dotted path of the field.
-
-        Returns
-        -------
-        Dimension or None
-            None if the field is constant in the sweep.
+        The result is None if the field is constant.
         """
         return next((one for one in self.design.dimensions if field in one.paths), None)
 
     def curves_along(self, field: str) -> list[Curve]:
         """Split the finished cases into curves along one scenario field.
 
-        Parameters
-        ----------
-        field : str
-            Dotted path of a field that varies.
-
-        Returns
-        -------
-        list of Curve
-            One curve for each combination of values of the other fields that vary, in the order of
-            the design. Combinations without a finished case are left out.
+        There is one curve for each combination of values of the other fields, in the order of the
+        design. Combinations without a finished case are left out.
         """
         others = [one for one in self.design.dimensions if field not in one.paths]
         curves = []
@@ -223,15 +204,7 @@ class SweepResults:
     def beside(self, *along: Dimension) -> dict[str, Any]:
         """Return the central case's field values without the fields of the given dimensions.
 
-        Parameters
-        ----------
-        *along : Dimension
-            Dimensions (fields that vary) to leave out, because they vary in a chart.
-
-        Returns
-        -------
-        dict
-            Value of each remaining field, by its dotted path.
+        The keys are dotted paths.
         """
         free = {one.paths[0] for one in along}
         return {path: value for path, value in self.central_case.items() if path not in free}
@@ -239,22 +212,8 @@ class SweepResults:
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
         """Tabulate a quantity over two dimensions of the sweep.
 
-        The other fields are as in the central case. The quantity is averaged over the draws of
-        random fields.
-
-        Parameters
-        ----------
-        across, up : Dimension
-            Dimension along the columns of the table, and dimension along the rows of the table. The
-            first field of each dimension gives the values.
-        quantity : str
-            Output column.
-
-        Returns
-        -------
-        DataFrame
-            Values of the quantity, NaN where no case finished. The index holds the field values of
-            `up` and the columns hold those of `across`, both in ascending order.
+        The columns are the values of `across`, the rows those of `up`, both ascending. Other fields
+        are as in the central case, and random fields are averaged. NaN where no case finished.
         """
         rows = _matching(self.finished, self.beside(across, up))
         plane = rows.pivot_table(index=up.paths[0], columns=across.paths[0], values=quantity)
@@ -265,18 +224,8 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        The class `Sensitivity` defines the ranges. A field is left out if cases finished at fewer
-        than two of its values, or at too few for the fit of random fields.
-
-        Parameters
-        ----------
-        quantity : str
-            Output column.
-
-        Returns
-        -------
-        list of Sensitivity
-            Sorted by descending width of the range.
+        The class `Sensitivity` defines the ranges. A field is left out if too few cases finished:
+        at fewer than two of its values, or too few for the fit.
         """
         rows = self.finished.dropna(subset=[quantity])
         found: list[Sensitivity] = []
@@ -291,11 +240,6 @@ class SweepResults:
         """Compute the range of a quantity over all finished cases.
 
         At least one case must have finished with a value of the quantity.
-
-        Parameters
-        ----------
-        quantity : str
-            Output column.
         """
         rows = self.finished.dropna(subset=[quantity]).sort_values(quantity, kind="stable")
         least, greatest = rows.iloc[0], rows.iloc[-1]
@@ -343,23 +287,10 @@ def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
-    """Return the rows on the Pareto front of two quantities to minimise.
+    """Return the rows on the Pareto front of two quantities to minimise, by ascending `first`.
 
-    A row is on the front if every other row has a larger value of at least one of the two
-    quantities. Of equal rows, only the first counts.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Candidates.
-    first, second : str
-        Columns of the two quantities.
-
-    Returns
-    -------
-    DataFrame
-        Rows of the front, sorted by ascending first quantity. The last row has the least second
-        quantity of all candidates.
+    A row is on the front if every other row has a larger value of at least one quantity. Of equal
+    rows, the first counts. The last row has the least `second`.
     """
     ordered = rows.sort_values([first, second])
     best_before = ordered[second].astype(float).cummin().shift(fill_value=np.inf)
@@ -369,21 +300,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
 def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
     """Find the value of a scenario field at which a quantity is least along a curve.
 
-    Parameters
-    ----------
-    curve : Curve
-        Finished cases that differ in this field.
-    field : str
-        Dotted path of the field.
-    quantity : str
-        Output column to minimise.
-    tried : sequence of float
-        All values of the field in the sweep, including those of failed cases.
-
-    Returns
-    -------
-    Best
-        The best value of the field, the quantity at this value, and the neighbouring values.
+    `tried` has all values of the field in the sweep, including those of failed cases.
     """
     best = pareto_front(curve.rows, field, quantity).iloc[-1]
     at, flown = float(best[field]), set(curve.rows[field])

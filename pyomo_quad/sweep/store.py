@@ -58,17 +58,8 @@ class StoreError(OutputError):
 def locked_folder(folder: Path) -> Iterator[None]:
     """Context manager: create an output folder, and lock it so that no other sweep writes there.
 
-    The operating system releases the lock when this process ends, even if the process is killed.
-
-    Parameters
-    ----------
-    folder : Path
-        Output folder of a sweep; may exist.
-
-    Raises
-    ------
-    StoreError
-        If the folder cannot be written, or another sweep holds the lock.
+    The operating system releases the lock when this process ends, even if it is killed. StoreError
+    is raised if the folder cannot be written or is locked.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -90,25 +81,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
 def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[sqlite3.Connection]:
     """Context manager: connect to an SQLite database, and translate SQLite's errors to StoreError.
 
-    Parameters
-    ----------
-    file : Path
-        File of the database.
-    mode : str
-        SQLite's mode of opening: ``"ro"`` reads, ``"rw"`` also writes, ``"rwc"`` also creates.
-    called : Path, optional
-        File name that error messages print; `file` by default. For a temporary copy of a database,
-        it is the original file.
-
-    Yields
-    ------
-    Connection
-        The open connection, which is closed on exit.
-
-    Raises
-    ------
-    StoreError
-        If SQLite raises an error when it opens the database, or inside the ``with`` block.
+    `mode` is SQLite's: ``"ro"`` reads, ``"rw"`` also writes, ``"rwc"`` also creates. Error messages
+    print `called` in place of `file`.
     """
     connection = None
     try:
@@ -128,15 +102,7 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
 def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
     """Context manager: connect to an SQLite database for reading, even on a read-only disk.
 
-    Parameters
-    ----------
-    file : Path
-        File of the database.
-
-    Raises
-    ------
-    StoreError
-        If the files cannot be read, or SQLite raises an error inside the ``with`` block.
+    StoreError is raised if the files cannot be read, or SQLite raises an error.
     """
     if _is_readable_in_place(file):
         with connected(file, mode="ro") as connection:
@@ -158,21 +124,8 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
     """Create the tables of a result store in an empty database.
 
-    If the database already has tables, no table is created. The function then only checks that the
-    database is writable.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the database, opened for writing.
-    notes : mapping
-        Rows of the new table ``sweep``, by name: ``design`` is the sweep's design as JSON text, and
-        ``version`` is the version of pyomo_quad.
-
-    Raises
-    ------
-    sqlite3.DatabaseError
-        If the database cannot be written.
+    `notes` become rows of the table ``sweep``. If the database already has tables, the function
+    only checks that it is writable. sqlite3.DatabaseError is raised if it is not.
     """
     (count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if not count:
@@ -192,18 +145,8 @@ def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> N
 def check_format(connection: sqlite3.Connection, file: Path) -> None:
     """Check that a database is a result store of the present format.
 
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        Connection to the database.
-    file : Path
-        File of the database, for messages.
-
-    Raises
-    ------
-    StoreError
-        If another program made the database, its format number is not the present number, or its
-        tables are not those of the present format.
+    StoreError is raised if another program made the database, or its format number or its tables
+    differ. `file` is for messages.
     """
     if _application_of(connection) != _APPLICATION_ID:
         raise _not_a_store(file)
@@ -225,19 +168,9 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
 
 
 def damaged(file: Path, what: str) -> StoreError:
-    """Make the error for a damaged result store.
+    """Make the error for a damaged result store, for the caller to raise.
 
-    Parameters
-    ----------
-    file : Path
-        File of the store.
-    what : str
-        Description of the damage, for the message.
-
-    Returns
-    -------
-    StoreError
-        For the caller to raise.
+    `what` describes the damage for the message.
     """
     return StoreError(
         f"{file}: is damaged ({printable(what)}); restore it from a copy, or choose another --out."
@@ -247,15 +180,7 @@ def damaged(file: Path, what: str) -> StoreError:
 def discard(file: Path) -> None:
     """Delete a result store with its log and index files, if there is one.
 
-    Parameters
-    ----------
-    file : Path
-        File of the store.
-
-    Raises
-    ------
-    StoreError
-        If the file is a database of another program, or cannot be opened as a database.
+    StoreError is raised if the file is a database of another program, or no database.
     """
     if file.exists():
         with connected(file, mode="rw") as connection:
@@ -292,20 +217,10 @@ def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
 
 
 def refuse_kept_results(folder: Path) -> None:
-    """Raise an error if a folder has results of a sweep but cannot be written.
+    """Raise StoreError if a folder has results of a sweep but cannot be written.
 
-    A sweep cannot continue in such a folder, but its results can still be reported.
-
-    Parameters
-    ----------
-    folder : Path
-        Output folder of a sweep.
-
-    Raises
-    ------
-    StoreError
-        If the folder has results and cannot be written. The message names the command that reports
-        the results: `pyomo-quad sweep-report`.
+    A sweep cannot continue in such a folder. The message names the command that reports the
+    results: `pyomo-quad sweep-report`.
     """
     if (folder / STORE_NAME).is_file() and not os.access(folder, os.W_OK):
         is_read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
@@ -526,8 +441,8 @@ class ResultStore:
     ) -> None:
         """Commit the row of a case that ended, in place of an earlier row of the case.
 
-        The row, the warm start and all deletions are one database transaction. The key of a case is
-        a hash of its field values.
+        The row, the warm start and all deletions are one database transaction. Keys are hashes of
+        field values.
 
         Parameters
         ----------
@@ -539,10 +454,10 @@ class ResultStore:
             Whether other cases start from the solution of this case. If so, the solution is stored
             as a warm start.
         spent : str, optional
-            Key of a case whose warm start is deleted, because it is no longer needed. Empty to
-            delete none.
+            Key of a case whose warm start is no longer needed, and is deleted. Empty to delete
+            none.
         outdated : iterable of str, optional
-            Keys of cases whose rows and warm starts are deleted, because they are no longer valid.
+            Keys of cases whose rows and warm starts are no longer valid, and are deleted.
 
         Raises
         ------
@@ -643,8 +558,8 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     -------
     DataFrame
         Columns: number of the case (from 0), the fields that vary, status, reason of a failure, and
-        the output columns that the study keeps or reports. If it names none to keep, all columns
-        with values are kept.
+        the output columns that the study keeps or reports. If the study names no columns to keep,
+        the table has all columns with values.
 
     Examples
     --------

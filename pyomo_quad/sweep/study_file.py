@@ -62,26 +62,14 @@ class Sampling(Part):
     )
 
     def draw(self, axis_count: int) -> np.ndarray:
-        """Draw random points in the unit cube, one for each sample.
+        """Draw random points in the unit cube, strictly between 0 and 1, shape (count, axis_count).
 
         Each coordinate is a probability: the field takes the quantile of its distribution there.
-        Each call gives the same points, because the generator starts from `seed`. With the method
-        ``random``, a larger number of samples keeps the previous points; a Latin hypercube changes
-        all.
-
-        Parameters
-        ----------
-        axis_count : int
-            Number of random fields.
-
-        Returns
-        -------
-        ndarray, shape (count, axis_count)
-            Coordinates of the points, strictly between 0 and 1. The attribute `count` is the number
-            of samples.
+        Each call gives the same points.
         """
         generator = np.random.default_rng(self.seed)
         if self.method is SamplingMethod.RANDOM:
+            # A larger number of samples keeps the previous points. A Latin hypercube changes all.
             draws = 1.0 - generator.random((self.count, axis_count))
         else:
             from scipy.stats import qmc  # noqa: PLC0415  takes half a second

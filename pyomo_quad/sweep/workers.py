@@ -1,9 +1,8 @@
 """Workers that solve the cases of a sweep: processes of this machine, or a Dask cluster.
 
-Processes and cluster both offer an Executor of `concurrent.futures`. If a worker dies, for example
-because it runs out of memory, the executor is broken, and `Workers` starts a new one. Any running
-case may have killed the worker, so all of them are solved again, one at a time. A case is given up
-if a worker dies again while the case runs.
+Both offer an Executor of `concurrent.futures`. If a worker dies, for example for lack of memory,
+`Workers` starts a new executor. Any running case may have killed the worker, so all of them are
+solved again, one at a time. A case is given up if a worker dies again while the case runs.
 """
 
 from collections import deque

@@ -22,12 +22,12 @@ class Estimate:
     value : float
         Best value, in SI units.
     low, high : float
-        Ends of the range of uncertainty. For most vehicles of this size, the property lies in this
-        range. For a given or computed value, `low` and `high` equal the value.
+        Range in which the property of most vehicles of this size lies. For a given or computed
+        value, both equal the value.
     kind : Kind
         Whether the value was given, computed, estimated or measured.
     said : str
-        Description of the origin: command-line option, formula or publication.
+        Origin: command-line option, formula or publication.
     """
 
     value: float
@@ -52,25 +52,16 @@ class Estimate:
 def given(value: float, said: str) -> Estimate:
     """Make an `Estimate`, without range, of a value that the vehicle's owner has stated.
 
-    Parameters
-    ----------
-    value : float
-        The value, in SI units.
-    said : str
-        Description of the value's origin, such as the name of the command-line option.
+    `value` is in SI units. `said` describes the value's origin, such as the name of the
+    command-line option.
     """
     return Estimate(value=value, low=value, high=value, kind=Kind.GIVEN, said=said)
 
 
 def computed(value: float, formula: str) -> Estimate:
-    """Make an `Estimate`, without range, of a value that follows from other values.
+    """Make an `Estimate`, without range, of a value that follows from other values by a formula.
 
-    Parameters
-    ----------
-    value : float
-        The value, in SI units.
-    formula : str
-        Formula as text.
+    `value` is in SI units.
     """
     return Estimate(value=value, low=value, high=value, kind=Kind.COMPUTED, said=formula)
 
@@ -78,13 +69,6 @@ def computed(value: float, formula: str) -> Estimate:
 def estimated(value: float, said: str, low: float, high: float) -> Estimate:
     """Make an `Estimate` of a value that is uncertain within a given range.
 
-    Parameters
-    ----------
-    value : float
-        Best value, in SI units.
-    said : str
-        Description of the estimate.
-    low, high : float
-        Ends of the range, divided by the value.
+    `value` is in SI units. `low` and `high` are the ends of the range, divided by the value.
     """
     return Estimate(value=value, low=low * value, high=high * value, kind=Kind.ESTIMATED, said=said)

@@ -13,25 +13,14 @@ _DIGITS = 6
 
 
 def pack_name(name: str) -> str:
-    """Return the name of a vehicle's battery file, ``{name}_pack.toml``.
-
-    Parameters
-    ----------
-    name : str
-        Name of the vehicle, whose own file is ``{name}.toml``.
-    """
+    """Return the name of a vehicle's battery file, ``{name}_pack.toml``."""
     return f"{name}_pack.toml"
 
 
 def vehicle_text(vehicle: EstimatedVehicle, title: str) -> str:
     """Return the text of an estimated vehicle's file (TOML), each number with its source.
 
-    Parameters
-    ----------
-    vehicle : EstimatedVehicle
-        The vehicle.
-    title : str
-        Short description of the vehicle, for the first line of the file and the field ``title``.
+    `title` is a short description of the vehicle.
     """
     known = vehicle.known
     lines = [
@@ -64,13 +53,7 @@ def _numbers(section: str, numbers: Mapping[str, Estimate]) -> Iterator[str]:
 def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
     """Make a scenario in which an estimated vehicle flies 40 m in calm air.
 
-    The scenario's power model is `momentum`, which uses momentum theory. The parameters of this
-    model are among the estimated numbers of the vehicle.
-
-    Parameters
-    ----------
-    vehicle : EstimatedVehicle
-        The vehicle.
+    The power model is `momentum`, whose parameters are among the estimated numbers of the vehicle.
     """
     tables: dict[str, Any] = {
         "name": vehicle.known.name,

@@ -1,7 +1,7 @@
 """Comparison of computed with measured powers of vehicles.
 
-The vehicles of the package's library are compared with measurements. For other vehicles only data
-sheets exist. Their estimated hover powers are compared with the published ones.
+The vehicles of the package's library are compared with measurements. For other vehicles
+only data sheets exist: their estimated hover powers are compared with the published ones.
 """
 
 import tomllib
@@ -50,16 +50,15 @@ class Held:
     scenario : Scenario
         Scenario with the vehicle.
     points : DataFrame
-        Measurements of steady flight, one row each. The columns are power [W], airspeed [m/s],
-        payload [kg], climb speed [m/s] and air density [kg/m³].
+        Measurements: power [W], airspeed [m/s], payload [kg], climb speed [m/s], air density
+        [kg/m³].
     computed : ndarray, shape (n_points,)
-        Power that the vehicle's model gives for each measurement [W]; NaN above the greatest
-        airspeed of the model.
+        Computed powers [W]; NaN above the model's greatest airspeed.
     is_endurance : bool
-        Whether the measured powers were computed from measured flight times.
+        Whether the measured powers follow from flight times.
     is_fitted : bool
-        Whether parameters of the vehicle's power model were fitted to measurements. If so, the
-        comparison is not an independent test of the model.
+        Whether the power model was fitted to measurements, so that the comparison is no independent
+        test.
     source : str
         Source of the measurements.
     """
@@ -82,10 +81,7 @@ class Held:
 
     @property
     def mean_error(self) -> float:
-        """Mean absolute error of the computed power over all measurements [percent].
-
-        The mean is taken over the absolute values of `errors`.
-        """
+        """Mean over the measurements of the absolute value of `errors` [percent]."""
         return float(np.mean(np.abs(self.errors)))
 
     @property
@@ -102,37 +98,13 @@ class Held:
 
 
 def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
-    """Compare all library vehicles with measurements of their power.
-
-    Parameters
-    ----------
-    planner : Planner, optional
-        Planner whose compiled models are used again for further vehicles; a new one by default.
-
-    Returns
-    -------
-    tuple of Held
-        Measured and computed powers of each vehicle of the library.
-    """
+    """Compare all library vehicles with measurements of their power."""
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
 
 
 def held_against(name: str, planner: Planner) -> Held:
-    """Compare one library vehicle with measurements of its power.
-
-    Parameters
-    ----------
-    name : str
-        Name of the vehicle.
-    planner : Planner
-        Planner whose compiled models are used again for further vehicles.
-
-    Returns
-    -------
-    Held
-        Measured powers in steady flight, and the powers that the vehicle's model gives for them.
-    """
+    """Compare one library vehicle with measurements of its power."""
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
     scenario = vehicle_scenario(name, PowerModel.MOMENTUM if is_momentum else PowerModel.MOTOR)
@@ -180,16 +152,8 @@ def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
 def data_sheets() -> pd.DataFrame:
     """Compare estimated with published hover powers of vehicles of which only data sheets exist.
 
-    Some data sheets give only the endurance in hover. The published power is then 80 % of the
-    battery's nominal energy, divided by the endurance.
-
-    Returns
-    -------
-    DataFrame
-        One row for each vehicle. The columns are title, mass [kg], propeller label (diameter and
-        pitch in inches), published and estimated hover power [W], error of the estimate (100
-        (estimated - published) / published, percent), kind of publication (such as bench test), and
-        source.
+    Each row has title, mass [kg], propeller [inches], published and estimated power [W], error 100
+    (estimated - published) / published, kind of publication, and source.
     """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []
@@ -200,6 +164,8 @@ def data_sheets() -> pd.DataFrame:
         )
         estimated = estimate_vehicle(known).estimated_hover_W
         measured = sheet.get(MEASURED)
+        # Some data sheets give only the endurance in hover, in which 80 % of the nominal energy are
+        # used.
         if measured is None:
             energy = USED_SHARE * pack.nominal_voltage * pack.capacity * _JOULES_PER_WATT_HOUR
             measured = energy / (sheet["endurance_min"] * _SECONDS_PER_MINUTE)

@@ -78,31 +78,30 @@ _RANGES = {
 class Known:
     """Data that the owner of a vehicle knows, in SI units.
 
-    Only name, mass and propeller are required. Arm, speed constant, battery or hover power is None
-    if the owner does not know it.
+    Arm, speed constant, battery and hover power are None if the owner does not know them.
 
     Attributes
     ----------
     name : str
         Name of the vehicle.
     mass : float
-        Mass in flight, with battery [kg].
+        Mass with battery.
     propeller : Propeller
-        Diameter and pitch of the propellers.
+        Diameter and pitch.
     arm : float or None
-        Distance from the centre to a motor shaft [m].
+        Distance from the centre to a motor shaft.
     voltage_constant : float or None
-        Speed constant of the motors: speed divided by voltage [rad/s/V].
+        Motor speed over voltage [rad/s/V].
     pack : Pack or None
         Battery.
     hover_power : float or None
-        Measured electrical power of the whole vehicle in hover [W].
+        Measured electrical power.
     hover_said : str
-        Description of the hover measurement, such as "8 A at 15 V"; empty without a measurement.
+        Measurement in words, such as "8 A at 15 V", or empty.
     rotors : int
         Number of rotors.
     density : float
-        Air density [kg/m³].
+        Air density.
     """
 
     name: str
@@ -126,17 +125,15 @@ class EstimatedVehicle:
     known : Known
         The owner's data.
     pack : Pack
-        Battery, which is estimated if the owner states none.
+        Battery.
     hover : RotorHover
-        Speed and powers of one rotor in hover.
+        Speed and powers of one rotor.
     fields, limits : mapping
-        Estimated parameters and limits of the vehicle, by the names of the fields in the tables
-        `vehicle` and `limits` of a scenario.
+        Estimates by field of the scenario's tables `vehicle` and `limits`.
     rotor_positions : tuple or None
-        Positions x, y of six or eight rotors [m]. None for four rotors, whose positions follow from
-        the length of the arms.
+        Positions x, y of six or eight rotors [m]; None for four.
     estimated_hover_W : float
-        Hover power [W] from the estimates alone, even if the owner has measured the hover power.
+        Hover power from the estimates alone, even if it was measured.
     """
 
     known: Known
@@ -152,29 +149,16 @@ class EstimatedVehicle:
     def is_measured(self) -> bool:
         """Whether the owner has measured the hover power.
 
-        If so, the parameters of the power model are scaled by the measurement.
+        If so, the rotor power of the model is scaled to the measurement.
         """
         return self.known.hover_power is not None
 
 
 def estimate_vehicle(known: Known) -> EstimatedVehicle:
-    """Estimate all numbers of a vehicle from its owner's data.
+    """Estimate all numbers of a vehicle from its owner's data, with ranges and origins.
 
-    Parameters
-    ----------
-    known : Known
-        The owner's data.
-
-    Returns
-    -------
-    EstimatedVehicle
-        Numbers of vehicle, limits and battery, with ranges and origins.
-
-    Raises
-    ------
-    ScenarioError
-        If the data contradict each other, for example if the motors are too slow to hover, or if
-        the number of rotors is not 4, 6 or 8.
+    ScenarioError is raised if the data contradict each other, for example if the motors are too
+    slow to hover, or if the number of rotors is not 4, 6 or 8.
     """
     pack = known.pack or usual_pack(known.mass)
     thrust = known.mass * GRAVITY / known.rotors

@@ -97,18 +97,8 @@ class Pack:
 def pack_of(text: str) -> Pack:
     """Read a battery label: "4S5000" means 4 cells in series and a capacity of 5000 mAh.
 
-    The number of cells in parallel may follow: "6S2P9000" is a pack of 9000 mAh with 6 cells in
-    series and 2 in parallel.
-
-    Parameters
-    ----------
-    text : str
-        The label.
-
-    Raises
-    ------
-    ScenarioError
-        If the text is not a battery label.
+    The number of cells in parallel may follow: "6S2P9000" has 6 in series, 2 in parallel, and 9000
+    mAh. ScenarioError is raised if the text is not a label.
     """
     match = _LABEL.fullmatch(text.strip())
     if match is None or int(match[1]) < 1 or int(match[2] or 1) < 1 or float(match[3]) <= 0:
@@ -132,15 +122,10 @@ _MASS_SHARE = 0.3
 
 
 def usual_pack(mass: float) -> Pack:
-    """Estimate the battery pack of a vehicle from the vehicle's mass.
+    """Estimate the battery pack of a vehicle from the vehicle's mass with its pack [kg].
 
     The pack is assumed to have 30 % of the mass. The number of cells in series is the usual one for
     this mass. Derivation: see docs/theory/vehicle_from_data.md, eq. (7).
-
-    Parameters
-    ----------
-    mass : float
-        Mass of the vehicle with its pack [kg].
     """
     series = next((cells for most, cells in _SERIES if mass <= most), _MOST_SERIES)
     energy = _MASS_SHARE * mass * _ENERGY_PER_KG

@@ -74,24 +74,15 @@ class Propeller:
     def thrust_over_speed_squared(self, density: float) -> float:
         """Return the thrust divided by the square of the rotor speed in rad/s [N s²].
 
-        Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
-
-        Parameters
-        ----------
-        density : float
-            Air density [kg/m³].
+        `density` is the air density [kg/m³]. Derivation: see docs/theory/vehicle_from_data.md, eq.
+        (1).
         """
         return self.coefficient * density * self.diameter**4 / (2 * pi) ** 2
 
     def hover(self, thrust: float, density: float) -> "RotorHover":
         """Return the speed and the powers of one rotor in hover.
 
-        Parameters
-        ----------
-        thrust : float
-            Thrust of the rotor [N].
-        density : float
-            Air density [kg/m³].
+        `thrust` is the thrust of the rotor [N], `density` the air density [kg/m³].
         """
         speed = sqrt(thrust / self.thrust_over_speed_squared(density))
         # Thrust coefficient of blade element theory, T / (rho A (omega R)^2).
@@ -118,12 +109,15 @@ class RotorHover:
     ----------
     speed : float
         Rotor speed [rad/s].
-    ideal_power, induced_power, profile_power : float
-        Powers [W]: that of an ideal rotor with equal thrust and disc area; the part that
-        accelerates the air downwards; the part that overcomes the drag of the blades.
+    ideal_power : float
+        Power of an ideal rotor with equal thrust and disc area [W].
+    induced_power : float
+        Power that accelerates the air downwards [W].
+    profile_power : float
+        Power that overcomes the drag of the blades [W].
     profile_over_thrust : float
-        Profile power divided by T^1.5 / sqrt(rho A), dimensionless; T is the thrust, rho the air
-        density and A the area of the rotor disc.
+        Profile power divided by T^1.5 / sqrt(rho A), with thrust T, air density rho and disc area
+        A.
     """
 
     speed: float

@@ -30,24 +30,9 @@ SHEETS_NAME = "data_sheets.csv"
 def write_vehicles(
     folder: Path, held: tuple[Held, ...], planner: Planner, figures: Figures
 ) -> pd.DataFrame:
-    """Write the report that compares computed with measured powers of vehicles.
+    """Write the report on powers of vehicles into an existing empty folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Existing empty folder that receives the files.
-    held : tuple of Held
-        Library vehicles with measured and computed powers.
-    planner : Planner
-        Planner whose compiled models are used again for further figures.
-    figures : Figures
-        Which figures to draw, and in which file formats.
-
-    Returns
-    -------
-    DataFrame
-        Result of the function `data_sheets`: published and estimated hover powers of the vehicles
-        of which only data sheets exist.
+    `held` are the library vehicles. The result is that of `data_sheets`.
     """
     sheets = data_sheets()
     drawings = write_study(

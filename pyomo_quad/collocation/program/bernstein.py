@@ -1,9 +1,9 @@
 """Bounds on variables between the collocation points, through Bernstein coefficients.
 
 A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_. If all
-coefficients satisfy a bound, the whole polynomial satisfies it, too. The converse is false, so that
-bounds on the coefficients restrict the solution more than necessary. For the cost, see
-docs/theory/transcription.md, eqs. (6) and (7).
+coefficients satisfy a bound, the whole polynomial satisfies it, too. Bounds on coefficients
+restrict the solution more than necessary. For the cost, see docs/theory/transcription.md, eqs. (6)
+and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -38,17 +38,15 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    Coefficients that equal a value of the variable are left out: the first and the last of a state,
-    and the last of an algebraic variable.
+    A coefficient at an end of the element is left out if the variable has a value there.
 
     Attributes
     ----------
     coefficients : ndarray, shape (n_coefficients, n_values)
-        Matrix from the variable's values in the element to the coefficients.
+        Matrix from the values to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
-        Matrix from the variable's values in the element to its polynomial's values at the abscissae
-        k / (n_values - 1). Here k counts all coefficients from 0, including those that are left
-        out.
+        Matrix from the values to the polynomial's values at k / (n_values - 1), the abscissa of
+        coefficient k.
     """
 
     coefficients: FloatArray
@@ -59,13 +57,8 @@ class BernsteinRule:
 def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
     """Return the maps from a variable's values in an element to its Bernstein coefficients.
 
-    Parameters
-    ----------
-    degree : int
-        Number of collocation points of the element.
-    is_state : bool
-        True for a state, which has values at the left end of the element and at the collocation
-        points. False for an algebraic variable, which has values at the collocation points only.
+    `degree` is the number of collocation points. A state also has a value at the left end of the
+    element; an algebraic variable does not.
     """
     rule = radau_rule(degree)
     at = rule.nodes if is_state else rule.points
@@ -73,6 +66,7 @@ def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
     # unknowns of the program have bounds already.
     kept = slice(int(is_state), -1)
     coefficients = np.asarray(np.linalg.inv(_basis(at, at.size - 1)), dtype=float)
+    # The abscissa of coefficient k is k / (n_values - 1), with k from 0.
     abscissae = np.linspace(0.0, 1.0, at.size)
     return BernsteinRule(
         coefficients=coefficients[kept],
@@ -125,8 +119,8 @@ class BernsteinRows:
     def scales(self, own: Scaling) -> FloatArray:
         """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        The factor makes the largest absolute derivative of the scaled constraint, with respect to
-        the scaled unknowns, equal to 1. `own` is the scaling of the original program.
+        Each factor is 1 / largest absolute derivative of the constraint. Derivatives are taken with
+        respect to the unknowns scaled by `own`.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
@@ -135,23 +129,9 @@ class BernsteinRows:
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
-        The estimate is the sum of max(multiplier * (coefficient - value), 0), with the polynomial's
-        value at the coefficient's abscissa. See docs/theory/transcription.md, eq. (7).
-
-        Parameters
-        ----------
-        result : IpoptResult
-            Solution of the program whose last constraints are these bounds on coefficients.
-        gap : float
-            Complementarity gap of that solution, in the unit of the objective: the sum of
-            multipliers times slacks over all inequalities.
-        elements : int
-            Number of elements of the mesh.
-
-        Returns
-        -------
-        Restraint
-            The estimated increase in each element, with the complementarity gap.
+        The estimate is the sum of max(multiplier * (coefficient - value), 0): see
+        docs/theory/transcription.md, eq. (7). In `result`, these bounds are the last constraints;
+        `gap` is its complementarity gap.
         """
         pull = result.multipliers.rows[-self.lower.size :]
         beyond = self.coefficients @ result.z - self.values @ result.z
@@ -183,26 +163,8 @@ def bounded(
 ) -> BernsteinRows | None:
     """Return bounds on Bernstein coefficients in those elements where a variable is near a bound.
 
-    The bounds also act between the collocation points. All coefficients of a variable in an element
-    are bounded if the trajectory `z` is near a bound there; see `_is_near`.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds of the unknowns, which hold at the collocation points. A bound that changes within an
-        element is not imposed between the collocation points of the element.
-    z : ndarray, shape (n_unknowns,)
-        The trajectory, interpolated from another mesh.
-    breach : float
-        Amount by which the bounds on the coefficients are wider than the bounds of the variables,
-        relative to max(1, abs(bound)).
-
-    Returns
-    -------
-    BernsteinRows or None
-        None if the trajectory is near no bound.
+    The bounds are widened by breach * max(1, abs(bound)). A bound that changes within an element is
+    left out. The result is None if `z` is near no bound.
     """
     mesh, layout, found = program.mesh, program.layout, []
     if mesh is None:
@@ -242,8 +204,8 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
     """Return whether a Bernstein coefficient of a variable violates a bound or is near it.
 
-    It is near at a distance below 0.45 (high - low), or 0.45 max(1, abs(bound)) if there is only
-    one bound.
+    A coefficient is near a bound if its distance is below 0.45 (high - low). If only one bound is
+    finite, the distance is 0.45 max(1, abs(bound)).
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:

@@ -1,8 +1,9 @@
 """Bounds and scaling of a nonlinear program, and errors for programs that cannot be solved.
 
-The scaling divides each unknown by its magnitude. The scaling factors of the constraints and of the
-objective follow from their derivatives at given values of the unknowns: see
-docs/theory/refinement.md, eqs. (12) to (15).
+The scaling divides each unknown by its magnitude. For the other scaling factors, see
+docs/theory/refinement.md, eqs. (12) to (15). The argument `start_data` comes from
+`Formulation.data_at_starts`. The argument `fixed` has values of variables at declared times, by
+(name, fraction of the horizon).
 """
 
 from __future__ import annotations
@@ -58,28 +59,12 @@ def bounds_of(
 ) -> Bounds:
     """Evaluate all bounds of a nonlinear program for its current parameter values.
 
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh, with parameter values.
-    start_data : ndarray, shape (1 + n_jumps, n_data)
-        One row for the start of the horizon, then one for the time just after each jump of a
-        parameter. Columns: fraction of the horizon, time-dependent and constant parameters.
-    fixed : dict
-        Values of variables fixed at declared times (members of the continuous set), by (variable
-        name, fraction of the horizon).
-    left_out : frozenset of str, optional
-        Names of conditions (constraints at single declared times) that are not imposed.
-
-    Returns
-    -------
-    Bounds
+    `left_out` names conditions (constraints at single declared times) that are not imposed.
 
     Raises
     ------
     TranscriptionError
-        If a lower bound exceeds an upper bound, or if the bounds of free times (variables for
-        physical times) contradict the order of these times. The message names the variables.
+        If lower bounds exceed upper bounds, or bounds contradict the order of free times.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
@@ -105,21 +90,6 @@ def limits_of(
     """Return the bounds that each variable or constraint of the model imposes on unknowns.
 
     A constraint on a single variable counts as a bound of that variable.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh, with parameter values.
-    start_data : ndarray, shape (1 + n_jumps, n_data)
-        One row for the start of the horizon, then one for the time just after each jump of a
-        parameter. Columns: fraction of the horizon, time-dependent and constant parameters.
-    fixed : dict
-        Values of variables fixed at declared times (members of the continuous set), by (variable
-        name, fraction of the horizon).
-
-    Returns
-    -------
-    list of Limit
     """
     found = list(limits_at_points(program))
     if program.mesh is not None:
@@ -193,8 +163,7 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
     """Yield the bounds of static variables, and of single states at declared times.
 
-    A condition (constraint at declared times) counts as a bound if it contains a single state or
-    static variable.
+    A condition (constraint at declared times) counts as a bound if it contains a single variable.
     """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
@@ -287,29 +256,15 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
 
 
 def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
-    """Return scaling factors of a nonlinear program, given the magnitudes of its unknowns.
+    """Return scaling factors of a program whose unknowns have the magnitudes `nominal`.
 
     The factors are:
 
     - unknown: 1 / magnitude;
     - constraint: about 1 / largest absolute derivative;
-    - objective: 1 / max(abs(objective), largest absolute derivative); 1 if its gradient is zero.
+    - objective: 1 / max(abs(objective), largest absolute derivative); 1 if its gradient is 0.
 
-    All derivatives are taken at the point `z`, with respect to the scaled unknowns.
-
-    Parameters
-    ----------
-    program : NonlinearProgram
-        Program to be scaled.
-    nominal : ndarray, shape (n_unknowns,)
-        Magnitude of each unknown.
-    z : ndarray, shape (n_unknowns,)
-        Point at which the objective and the derivatives are evaluated.
-
-    Returns
-    -------
-    Scaling
-        Factors of the objective, the unknowns and the constraints.
+    All derivatives are taken at `z`, with respect to the scaled unknowns.
     """
     largest, beside = (_largest_slopes(program, nominal, at) for at in (z, z + _BESIDE * nominal))
     with np.errstate(invalid="ignore"):
@@ -354,8 +309,8 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, for the scaling of its unknowns.
 
-    It is 1 / scaling factor, if the Pyomo model has one. Otherwise it is the largest absolute value
-    in `z` and among bounds below 1e6, or 1.
+    If the Pyomo model has a scaling factor, the magnitude is 1 / factor. Otherwise it is the
+    largest absolute value in `z` and among bounds below 1e6; 1 if this is 0.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -367,26 +322,10 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 
 
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
-    """Raise an error if a program has infinite or NaN values, or contradictory equations.
+    """Raise an error if a program has infinite or NaN values at `z`, or contradictory equations.
 
-    The equations are checked if the program has more equations than free unknowns. They are
-    contradictory if they are linear and have no solution.
-
-    Parameters
-    ----------
-    program : Transcription
-        The nonlinear program.
-    bounds : Bounds
-        Bounds of the program's unknowns and constraints. Unknowns with unequal bounds are free;
-        constraints with equal bounds are equations.
-    z : ndarray, shape (n_unknowns,)
-        Initial point, at which constraints, objective and derivatives are evaluated.
-
-    Raises
-    ------
-    TranscriptionError
-        If the program cannot be solved. The message names the equation, element and time where a
-        value is not finite, or the numbers of equations and unknowns.
+    The equations are checked if there are more equations than free unknowns. They are contradictory
+    if they are linear and have no solution.
     """
     refuse_not_finite(program, z)
     held = np.flatnonzero(bounds.lower == bounds.upper).tolist()
@@ -408,19 +347,8 @@ def refuse_overdetermined(
 ) -> None:
     """Raise an error if a program's equations are linear and contradict each other.
 
-    Only programs with more equations (constraints with equal bounds) than free unknowns (with
-    unequal bounds) are checked.
-
-    Parameters
-    ----------
-    program : NonlinearProgram
-        Program whose equations are checked.
-    bounds : Bounds
-        Bounds of the program's unknowns and constraints.
-    z : ndarray, shape (n_unknowns,)
-        Point at which the equations are linearised.
-    fixed : iterable of str
-        Names of the variables with fixed values, which the message lists.
+    The check is made only if the program has more equations than free unknowns. The message lists
+    `fixed`, the names of variables with fixed values.
     """
     # Nonlinear equations are accepted: only a solve can decide whether they have a solution.
     if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
@@ -501,15 +429,12 @@ def is_defined(program: Transcription, z: FloatArray) -> bool:
 
 
 def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
-    """Raise an error if an equation, the objective or a derivative is not finite at the guess.
-
-    `z` are the unknowns at the initial guess.
+    """Raise an error if an equation, the objective or a derivative is not finite at the guess `z`.
 
     Raises
     ------
     TranscriptionError
-        If a number is not finite. The message names the equation with its element and time, and for
-        a derivative also the variable.
+        The message names the equation with its element and time, and for a derivative the variable.
     """
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))

@@ -197,20 +197,21 @@ def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleBound:
-    """Bounds of a single variable, declared with the variable or by a constraint on it alone.
+    """Bounds of a single variable, declared with it or by a constraint on it alone.
+
+    The constraint ``low <= a * x + b <= high`` gives the bounds (low - b) / a and (high - b) / a,
+    exchanged if a < 0.
 
     Attributes
     ----------
     name : str
-        Name of the variable or constraint that declares the bounds.
+        Variable or constraint that declares the bounds.
     variable : str
-        Name of the bounded variable's symbol.
+        Symbol of the bounded variable.
     slope : float
-        Coefficient of the variable in the constraint; 1 for bounds declared with the variable.
+        Coefficient a; 1 for bounds declared with the variable.
     lower, upper : casadi.SX
-        Bounds of the variable, as expressions of the parameters and, over time, of the fraction of
-        the horizon. The constraint ``low <= a * x + b <= high`` gives (low - b) / a and (high - b)
-        / a, exchanged if a < 0.
+        Expressions of the data.
     """
 
     name: str
@@ -235,25 +236,10 @@ def split_simple_bounds(
 ) -> tuple[tuple[Any, ...], tuple[SimpleBound, ...]]:
     """Separate constraints that bound a single variable from all other constraints.
 
-    Ipopt handles bounds of variables more efficiently than constraints.
-
-    Parameters
-    ----------
-    relations : tuple of PathEquation or PointCondition
-        Constraints over time, or at declared times.
-    variables : dict
-        Every variable symbol by name; any other symbol in a constraint is a parameter.
-    candidates : frozenset of str
-        Names of the variables that are unknowns of the nonlinear program. Only these variables can
-        have bounds. The time derivative of a state, for example, is no unknown.
-
-    Returns
-    -------
-    tuple of PathEquation or PointCondition
-        The constraints that do not bound a single variable.
-    tuple of SimpleBound
-        The bounds that replace the constraints on a single variable.
+    The result is (other constraints, bounds). `candidates` names the unknowns of the nonlinear
+    program, which alone can have bounds. A symbol that is not in `variables` is a parameter.
     """
+    # Ipopt handles bounds of variables more efficiently than constraints.
     others, bounds = [], []
     for relation in relations:
         bound = _as_simple_bound(relation, variables, candidates)
@@ -296,18 +282,16 @@ IndexArray = NDArray[np.intp]
 class DerivedFunctions:
     """CasADi functions of a vector of expressions, its sparse Jacobian, and a weighted Hessian.
 
-    Derivatives are taken with respect to the first input, the variables. The second input is the
-    data: the parameters and, for equations over time, the fraction of the horizon.
+    Derivatives are taken with respect to the variables.
 
     Attributes
     ----------
     values : casadi.Function
         (variables, data) -> column of values.
     jacobian : casadi.Function
-        (variables, data) -> nonzeros of the Jacobian with respect to the variables.
+        (variables, data) -> nonzeros of the Jacobian.
     hessian : casadi.Function
-        (variables, data, weights) -> nonzeros of the lower triangle of the Hessian of the scalar
-        product weights . values.
+        (variables, data, weights) -> nonzeros of the lower triangle for weights . values.
     jacobian_rows, jacobian_columns, hessian_rows, hessian_columns : ndarray of int
         Row and column of each nonzero.
     """
@@ -325,22 +309,16 @@ class DerivedFunctions:
 class TableArguments:
     """Arguments of the interpolation tables in a model, with functions for the arguments' values.
 
-    The values show whether a solution evaluates a table outside the range of its data. A `TableUse`
-    holds one argument of a table in one equation, and the range of the table's data.
+    The values show whether a solution evaluates a table outside the range of its data.
 
     Attributes
     ----------
-    over_time : tuple of TableUse
-        Arguments in equations over time.
+    over_time, in_conditions : tuple of TableUse
+        Arguments in equations over time, and in constraints at declared times.
     path : casadi.Function
-        (variables at a collocation point, data of the point) -> values of the arguments in
-        `over_time`. The data are the fraction of the horizon and the parameters.
-    in_conditions : tuple of TableUse
-        Arguments in conditions (constraints at declared times).
+        (variables, data of a collocation point) -> values of `over_time`.
     points : casadi.Function
-        (variables in conditions, parameters) -> values of the arguments in `in_conditions`. The
-        variables in conditions are one column: the values of variables at declared times, then the
-        static variables, then integrals.
+        (variables in conditions, parameters) -> values of `in_conditions`.
     """
 
     over_time: tuple[TableUse, ...]
@@ -353,46 +331,40 @@ class TableArguments:
 class CompiledModel:
     """Model as CasADi functions: equations at one collocation point, conditions and objective.
 
-    Path equations hold at each collocation point. A condition is a constraint among values at
-    declared times (members of the continuous set), static variables and integrals. Static variables
-    have no time.
+    A condition is a constraint among values at declared times, static variables and integrals. The
+    data of a point are fraction of the horizon, time-dependent and constant parameters.
 
     Attributes
     ----------
     declared : Declarations
-        Variables, equations, conditions and objective in CasADi symbols.
     path : DerivedFunctions
-        Path equations, then integrands. The inputs are the rates (derivatives of the states with
-        respect to the fraction of the horizon), states, algebraic and static variables of a point,
-        and the data of the point: fraction, time-dependent and constant parameters.
+        Equations at each collocation point, then integrands. The inputs are (rates, states,
+        algebraic and static variables; data). Rates are derivatives with respect to the fraction of
+        the horizon.
     points : DerivedFunctions
-        Conditions, then the objective. The inputs are the values at declared times, static
-        variables and integrals, and the parameters.
+        Conditions, then objective. The inputs are (values at declared times, static variables,
+        integrals; parameters).
     path_bounds : casadi.Function
-        Data of a point -> lower and upper bounds of the path equations.
+        Data -> bounds of the equations in `path`.
     limits : tuple of SimpleBound
-        Bounds of single variables over time. Each state and algebraic variable has an entry, with
-        infinite bounds if it declares none.
+        Bounds over time; each state and algebraic variable has an entry, even if infinite.
     limits_over_time : casadi.Function
-        Data of a point -> lower and upper bounds of the variables in `limits`.
+        Data -> bounds in `limits`.
     simple_point_bounds : tuple of SimpleBound
-        Conditions that bound a single state at a declared time, or a single static variable.
+        Conditions on a single state at a declared time, or on a single static variable.
     simple_point_limits : casadi.Function
-        Parameters -> lower and upper bounds of the variables in `simple_point_bounds`.
+        Parameters -> bounds in `simple_point_bounds`.
     condition_limits, static_limits : casadi.Function
-        Parameters -> lower and upper bounds of the conditions, and of the static variables.
+        Parameters -> bounds of conditions, and of static variables.
     times : casadi.Function
-        (static variables, parameters) -> physical times: the start of the horizon, the free
-        interior times (interior times that the solve determines), and the end.
+        (static variables, parameters) -> physical times of start, free interior times, and end.
     row_integrals : tuple of int
-        Positions of the integrals that enter at most the objective, linearly. Each other integral
-        is replaced by a static variable.
+        Positions of the integrals that no static variable replaces.
     symbols : (casadi.SX, casadi.SX)
-        Symbols of the variables and the data of a point.
+        Symbols of variables and data of a point.
     tables : TableArguments
-        Arguments of the interpolation tables.
     static_of_integral : dict
-        Position of an integral -> position of the static variable that replaces it.
+        Position of any other integral -> position of its static variable.
     """
 
     declared: Declarations
@@ -475,11 +447,10 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    Output states are left out of the nonlinear program, unless the objective is constant.
-    Inequalities and conditions that are linear in a single variable become bounds. Bounds that
-    depend on static variables become constraints. Integrals in conditions or in nonlinear terms of
-    the objective become static variables.
+    Inequalities and conditions that are linear in a single variable become bounds. Integrals in
+    conditions or in nonlinear terms of the objective become static variables.
     """
+    # Output states stay in the nonlinear program if the objective is constant.
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
     declared = _with_integral_variables(with_moving_limits(declared))
@@ -613,7 +584,10 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return the bound of (expression - limit): 0, or the infinite `none` where no limit exists."""
+    """Return the bound of (expression - limit): 0, or `none` if `unbounded` is true.
+
+    `none` is inf or -inf, and `unbounded` indicates that there is no limit.
+    """
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
@@ -718,7 +692,8 @@ def _path_symbols(declared: Declarations) -> dict[str, Any]:
 def _point_symbols(declared: Declarations) -> dict[str, Any]:
     """Return the symbols of the variables in conditions and objective, by name and in fixed order.
 
-    The order is: values at declared times, static variables, integrals that none of these replaces.
+    The order is: values at declared times, static variables, integrals that no static variable
+    replaces.
     """
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
@@ -728,7 +703,7 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of unknowns for which a condition on a single unknown becomes a bound.
+    """Return the names of the unknowns on which a condition can act as a bound.
 
     These are states at declared times, and static variables (variables without time).
     """

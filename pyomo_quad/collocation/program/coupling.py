@@ -1,12 +1,11 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
-Each continuous set of the model is a horizon. Its program has the constraints on this horizon only.
-The objective and all other constraints form the coupling. Integrals and values of a horizon enter
-the coupling as follows:
+Each continuous set is a horizon, with a program for its own constraints. The objective and all
+other constraints form the coupling. There, static variables (without time) stand for values and
+integrals of a horizon:
 
-- An integral that only the objective contains, times a number, becomes an objective of the horizon.
-- The value of a state is the same unknown as a static variable (without time).
-- A static variable equals any other integral or value, by a constraint of the horizon.
+- A state shares the unknown of its static variable.
+- For another value or an integral, the horizon has an equality constraint.
 """
 
 from __future__ import annotations
@@ -51,21 +50,18 @@ if TYPE_CHECKING:
 class Link:
     """Static variable that stands for a value of one horizon in the coupling of several horizons.
 
-    The value is that of a variable over the horizon at a single time. The coupling consists of the
-    objective and the constraints on several horizons.
-
     Attributes
     ----------
     slot : Slot
-        The static variable (a variable without time).
+        The static variable.
     reader : ModelReader
         Reader of the horizon's declarations.
     value : casadi.SX
-        CasADi expression of the value, in the symbols of the horizon.
+        Expression of the value, in the symbols of the horizon.
     time : float
-        Time of the value: a member of the horizon's continuous set.
+        Time of the value, a member of the continuous set.
     state : PointSymbol, optional
-        The state and its time, if the value is that of a state; None for any other value.
+        State and its time; None if the value is not a state.
     """
 
     slot: Slot
@@ -108,8 +104,8 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        The objective may contain values at any declared time, a constraint only values at the ends
-        of a horizon. Write all constraints first: this method ends the check of their times.
+        Write all constraints before the objective. Constraints must not contain values at interior
+        times of a horizon; after this call, such values are no longer refused.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
@@ -117,8 +113,8 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        The value of a variable at a single time, such as ``x[1]``, is replaced by a static
-        variable, which is stored in `links`.
+        The value at a single time, such as ``x[1]``, is replaced by a static variable, which is
+        stored in `links`.
 
         Raises
         ------
@@ -154,8 +150,8 @@ class CouplingWriter(TemplateWriter):
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
         """Raise an error for a value that must not appear in the coupling of several horizons.
 
-        A time-dependent parameter at a single time must not appear, nor, in a constraint, a value
-        at an interior time.
+        Such a value is a time-dependent parameter at a single time. In a constraint, it is also the
+        value of a variable at an interior time.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -174,7 +170,7 @@ class CouplingWriter(TemplateWriter):
     def named(self, expression: Any) -> Any:
         """Return the symbol that replaces a named Pyomo expression, or None.
 
-        The symbol of an integral over a horizon replaces it. Any other named expression gives None,
+        An integral over a horizon is replaced by its symbol. Any other named expression gives None,
         and is translated like an unnamed one.
         """
         component = expression.parent_component()
@@ -189,22 +185,16 @@ class CouplingWriter(TemplateWriter):
 class CoupledDeclarations:
     """Declarations of a model with several horizons, separated by horizon.
 
-    Declarations are the variables, equations and objective of the Pyomo model, as CasADi symbols
-    and expressions. A `ModelReader` has made them from the Pyomo model.
-
     Attributes
     ----------
     horizons : dict
-        Declarations of each horizon and their reader, by the name of the horizon's continuous set.
+        Declarations and reader by the name of the continuous set.
     coupling : Declarations, ModelReader
-        Declarations that belong to no single horizon, and their reader. These declarations are the
-        objective, the constraints on several horizons, and the constraints without any horizon.
+        Objective and constraints on several horizons or none, with their reader.
     states : dict
-        Name of a static variable of the coupling that equals a state of a horizon -> (name of the
-        horizon, state with its declared time).
+        Static variable that equals a state -> (name of the horizon, state with its time).
     links : tuple of str
-        Names of the static variables of the coupling that equal another variable, such as a
-        control, at a declared time. The constraint that makes them equal has the same name.
+        Static variables that equal other values, by constraints of the same names.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -216,20 +206,7 @@ class CoupledDeclarations:
 def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     """Read the declarations of a model with several continuous sets.
 
-    Parameters
-    ----------
-    model : ConcreteModel
-        The Pyomo model.
-    times : mapping, optional
-        Physical times that the solve determines, by the name of the continuous set: member of the
-        set -> static variable that is its physical time. It is the argument `times` of
-        `JointProblem`.
-
-    Returns
-    -------
-    CoupledDeclarations
-        The variables, equations and objective as CasADi symbols and expressions, separated into
-        those of each horizon and those that concern several horizons.
+    `times` are the physical times that the solve determines, as in `JointProblem`.
 
     Raises
     ------
@@ -360,27 +337,25 @@ Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
 class Union:
     """Positions of the unknowns and constraints of several programs in their joint program.
 
-    Static variables (variables without time) with the same name share one unknown. The unknowns of
-    each horizon come first. The static variables that share no unknown with a state follow.
+    Static variables of the same name share one unknown. The unknowns of the horizons come first.
 
     Parameters
     ----------
     programs : sequence of Transcription
-        Nonlinear programs of the horizons and of the coupling.
+        Programs of the horizons and of the coupling.
     states : mapping
-        Name of a static variable that equals a state of a horizon -> this state, as a `StateValue`.
-        The static variable and the state share one unknown.
+        Static variable -> state that shares its unknown.
 
     Attributes
     ----------
     unknowns : int
         Number of unknowns of the joint program.
     statics : dict
-        Position, by name, of each static variable that shares no unknown with a state.
+        Position of each static variable that shares no unknown with a state.
     places : list of ndarray of int
-        Positions of each program's unknowns in the joint program.
+        Positions of each program's unknowns.
     rows : list of slice
-        Positions of each program's constraints in the joint program.
+        Positions of each program's constraints.
     """
 
     def __init__(self, programs: Sequence[Transcription], states: Mapping[str, StateValue]) -> None:
@@ -424,13 +399,10 @@ class Union:
     def bounds(self, parts: Sequence[Bounds]) -> Bounds:
         """Return the bounds of the joint program; a shared unknown has the tightest of its bounds.
 
-        `parts` are the bounds of each program, in the order of the programs.
-
         Raises
         ------
         TranscriptionError
-            If the lower bound of a shared static variable in one program exceeds its upper bound in
-            another program.
+            If the bounds of a shared static variable contradict each other.
         """
         lower, upper = np.full(self.unknowns, -np.inf), np.full(self.unknowns, np.inf)
         for places, part in zip(self.places, parts, strict=True):

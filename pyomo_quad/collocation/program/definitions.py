@@ -25,8 +25,8 @@ _AWAY = 0.5
 # Fraction of the largest initial residual that may remain for computed values to be accepted.
 _LEFT = 1e-6
 
-#: Position of a path equation, position of the algebraic variable that it defines, and constant
-#: coefficient of that variable in the equation.
+#: Index of an equation among the path equations, index of the variable that it defines among the
+#: algebraic variables, and constant coefficient of this variable in the equation.
 Definition = tuple[int, int, float]
 
 
@@ -35,25 +35,8 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    An equality defines an algebraic variable that has a constant coefficient in it, if no other
-    undefined algebraic variable has one. For example, ``k == exp(-1 / x)`` defines k, but not x. If
-    y is a state, ``p - q == y`` defines p once another equation defines q.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    z : ndarray, shape (n_unknowns,)
-        Unknowns of the program, at which the coefficients are evaluated.
-    among : iterable of int, optional
-        Indices, among all algebraic variables, of those that may be defined; by default all. The
-        others count as already defined.
-
-    Returns
-    -------
-    list of Definition
-        Index of each defining equation among the path equations, index of the defined variable
-        among the algebraic variables, and its coefficient.
+    The variable must have a constant coefficient in the equation, and `among` must contain its
+    index; None admits all. For example, ``k == exp(-1 / x)`` defines k, but not x.
     """
     compiled, layout, path = program.compiled, program.layout, program.compiled.path
     n, count = layout.n_states, layout.n_algebraics
@@ -76,6 +59,8 @@ def definitions(
     coefficients[at] = entries[0, chosen]
     is_open = np.isin(np.arange(count), list(range(count) if among is None else among))
     found: list[Definition] = []
+    # An equation defines a variable if all other variables with a constant coefficient in it are
+    # excluded or already defined. If y is a state, ``p - q == y`` defines p after q.
     while True:
         candidates = (coefficients != 0.0) & is_open
         single = np.flatnonzero(candidates.sum(axis=1) == 1)
@@ -90,28 +75,10 @@ def definitions(
 def with_defined(
     program: Transcription, variables: FloatArray, data: FloatArray, given: list[Definition]
 ) -> FloatArray:
-    """Compute the algebraic variables that equations define, at several points.
+    """Return a copy of `variables` in which the equations `given` hold, one row per point.
 
-    Repeated substitution solves the equations, which may depend on each other. It fails if the
-    largest residual stays above a millionth of its initial value. Circular dependencies can cause
-    this.
-
-    Parameters
-    ----------
-    program : Transcription
-    variables : ndarray, shape (n_points, n_variables)
-        Rates (derivatives of the states with respect to the fraction of the horizon), states,
-        algebraic and static variables, one row per point.
-    data : ndarray, shape (n_points, n_data)
-        Fraction of the horizon and parameters, one row per point.
-    given : list of Definition
-        The defining equations and their variables, from `definitions`.
-
-    Returns
-    -------
-    ndarray, shape (n_points, n_variables)
-        Copy of `variables` in which the defined variables satisfy their equations. If the
-        substitution fails, `variables` itself.
+    `variables` and `data` have the layout of `Transcription.path_slopes`. If the equations cannot
+    be solved, for example because their dependencies are circular, `variables` is returned.
     """
     if not given:
         return variables
@@ -120,6 +87,8 @@ def with_defined(
     columns, moved = 2 * program.layout.n_states + defined, np.array(variables)
     before = function(moved, data)[0][:, rows]
     left = before
+    # An equation may depend on variables that other equations define. One pass per equation
+    # suffices unless the dependencies are circular.
     for _ in given:
         moved[:, columns] -= left / coefficients
         left = function(moved, data)[0][:, rows]

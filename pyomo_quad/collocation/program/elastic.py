@@ -1,12 +1,11 @@
 """Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
-An elastic program has slacks: further unknowns that permit a violation.
+An elastic program has further unknowns, called slacks, that permit a violation.
 
-- `priced` keeps the objective, and adds slacks to the equalities at the collocation points. Its
-  optimum serves as initial point of the original program.
-- `least_violation` adds slacks to all constraints, and minimises their sum instead of the
-  objective. If this sum is positive, the problem is reported as infeasible: no point nearby
-  satisfies all constraints.
+- `priced` keeps the objective, and adds slacks to the path equations. The optimum serves as initial
+  point.
+- `least_violation` adds slacks to all constraints, and minimises their sum instead. If it is
+  positive, no point nearby satisfies all constraints: the problem is reported as infeasible.
 """
 
 from __future__ import annotations
@@ -48,9 +47,10 @@ _BARRIERS = ("adaptive", "monotone")
 def _with_slacks(
     program: NonlinearProgram, rows: NDArray[np.intp], sizes: FloatArray, prices: FloatArray, n: int
 ) -> ExtendedProgram:
-    """Return a copy of a program with two penalised slacks >= 0 in each chosen constraint.
+    """Return a program with two penalised slacks >= 0 in each of the constraints `rows`.
 
-    One unit of slack changes the value of its constraint by `sizes`.
+    One slack increases the value of the constraint by `sizes` times the slack, the other decreases
+    it. The original program has `n` unknowns.
     """
     slacks = n + np.arange(2 * rows.size)
     # After the n original unknowns come k slacks that increase the values of the constraints, then
@@ -95,18 +95,8 @@ def _solved(
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
     """Return an elastic program whose path equalities may be violated at a penalty.
 
-    A path equality is imposed at each collocation point. The penalty per unit of slack is
-    proportional to the quadrature weight of the point.
-
-    Parameters
-    ----------
-    program : Transcription
-        The original program.
-    scaling : Scaling
-        Scaling of the original program. One unit of slack changes an equation's value by 1 /
-        (scaling factor of the equation).
-    z : ndarray, shape (n_unknowns,)
-        Unknowns of the original program. Only their number is used.
+    One unit of slack changes the scaled value of an equation by 1. Its penalty is proportional to
+    the quadrature weight of the collocation point. Only the size of `z` matters.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
@@ -126,20 +116,10 @@ def elastic_point(
     options: SolverOptions,
     progress: Progress | None,
 ) -> FloatArray:
-    """Return the unknowns at the optimum of an elastic program, as an initial point.
+    """Return an initial point, shape (n_unknowns,): the optimum of the program of `priced`.
 
-    The elastic program is that of `priced`. If its solve fails or is stopped, the result is the
-    best iterate. The result has the shape (n_unknowns,) and lies within the bounds.
-
-    Parameters
-    ----------
-    program, bounds, scaling
-        The nonlinear program on one mesh, with its bounds and its scaling.
-    z : ndarray, shape (n_unknowns,)
-        Initial point of the elastic program.
-    options : SolverOptions
-    progress : callable or None
-        Called at each iteration; returning False stops the solve.
+    If its solve from the point `z` fails or is stopped, the best iterate is returned. The result
+    lies within the bounds.
     """
     elastic = priced(program, scaling, z)
     result = _solved(elastic, z, bounds, scaling, options, progress)
@@ -148,15 +128,13 @@ def elastic_point(
 
 @dataclass(frozen=True, kw_only=True)
 class LeastViolation:
-    """Point of least constraint violation: optimum of the elastic program without the objective.
-
-    In this program, all constraints have slacks, and the sum of the slacks is minimised.
+    """Point with the least sum of scaled constraint violations, from `least_violation`.
 
     Attributes
     ----------
     z : ndarray, shape (n_unknowns,)
-        Unknowns at the optimum, within their bounds. If the search failed or was stopped, those of
-        the best iterate.
+        Unknowns, within their bounds. If the search failed or was stopped, those of the best
+        iterate.
     slacks : ndarray, shape (n_rows,)
         Violation of each constraint times the scaling factor of the constraint.
     result : IpoptResult
@@ -193,27 +171,10 @@ def least_violation(
     options: SolverOptions,
     progress: Progress | None,
 ) -> LeastViolation:
-    """Find a point at which the sum of scaled constraint violations is least.
+    """Find a point within the bounds at which the sum of scaled constraint violations is least.
 
-    The search solves an l1 elastic program without the objective. Ipopt uses its adaptive barrier
-    strategy, and if this fails, the monotone one.
-
-    Parameters
-    ----------
-    program : NonlinearProgram
-    bounds : Bounds
-        Bounds of the unknowns and of the constraints. The bounds of the unknowns are not relaxed.
-    scaling : Scaling
-    z : ndarray, shape (n_unknowns,)
-        Initial point. Unknowns that affect no violation stay near their values at this point.
-    options : SolverOptions
-        Settings of Ipopt. The search sets the tolerance to 1e-8 and allows at most 300 iterations.
-    progress : callable or None
-        Called at each iteration; returning False stops the search.
-
-    Returns
-    -------
-    LeastViolation
+    Ipopt minimises the slacks of an l1 elastic program from the point `z`, with a tolerance of
+    1e-8, in at most 300 iterations.
     """
     is_limit = np.isfinite(bounds.row_lower) | np.isfinite(bounds.row_upper)
     rows = np.flatnonzero(is_limit)

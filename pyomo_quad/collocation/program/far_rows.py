@@ -1,14 +1,11 @@
 """Constraints far from their limits: left out of a warm-started solve, and checked afterwards.
 
-Each constraint costs Ipopt a slack, a multiplier and a matrix row. In a mission past a dozen
-buildings, nearly all constraints are far from their limits. Row r of the constraints c is far if no
-limit is reached when each unknown z_j changes by a tenth of its magnitude. Linearised at the warm
-start:
+Each constraint costs Ipopt a slack, a multiplier and a matrix row. A constraint c with the distance
+s to its nearest limit is far if, linearised at the warm start,
 
-    slack_r > 0.1 sum_j abs(dc_r / dz_j) magnitude_j .
+    s > 0.1 sum_j abs(dc / dz_j) magnitude_j .
 
-If the optimum without the far rows satisfies them, it is a local optimum of the whole program, in
-which their multipliers are zero.
+Then no limit is reached when each unknown z_j changes by a tenth of its magnitude.
 """
 
 from __future__ import annotations
@@ -35,7 +32,8 @@ if TYPE_CHECKING:
 
 # Change of each unknown, relative to its magnitude, that a far row allows.
 _CHANGE = 0.1
-# Least share of far rows for which they are left out.
+# Least share of far rows for which they are left out. In a mission past a dozen buildings, nearly
+# all constraints are far.
 _WORTH = 0.2
 
 
@@ -146,23 +144,8 @@ def run_without_far_rows(
 ) -> IpoptResult:
     """Solve a program from a warm start, without the constraints that are far from their limits.
 
-    The whole program is solved if less than a fifth of the constraints are far, or if the optimum
-    violates a far constraint. If the solve without them fails or is interrupted, its result is not
-    checked.
-
-    Parameters
-    ----------
-    run : callable
-        Function that solves a program, with the arguments of `program.ipopt.run`.
-    program, bounds, scaling, start, multipliers
-        Arguments of `run`.
-    **settings
-        Further arguments of `run`.
-
-    Returns
-    -------
-    IpoptResult
-        Result with multipliers of all constraints. History and wall-clock time cover all solves.
+    The whole program is solved if fewer than a fifth are far, or the optimum violates one of them.
+    `run` has the arguments of `program.ipopt.run`.
     """
     is_far = far_rows(program, bounds, scaling, start)
     if np.count_nonzero(is_far) < _WORTH * program.n_rows:
@@ -178,6 +161,8 @@ def run_without_far_rows(
     )
     held = found.multipliers
     found = replace(found, multipliers=replace(held, rows=part.of_all(held.rows)))
+    # If the optimum satisfies the far rows, it is a local optimum of the whole program, in which
+    # their multipliers are zero.
     values = program.constraints(found.z)[is_far]
     keeps = (values >= bounds.row_lower[is_far]) & (values <= bounds.row_upper[is_far])
     if not found.is_converged or keeps.all():

@@ -104,14 +104,14 @@ _PUSHES = (
 
 
 class StartDistance(Enum):
-    """Expected distance of a warm start from the solution, which lies on the central path.
+    """Expected distance between a warm start and the point at which the solve ends.
 
-    The central path consists of the optima of the barrier problem for all positive barrier
+    This point lies on the central path: the optima of the barrier problem for all positive barrier
     parameters.
 
-    - `NONE`: the start practically coincides with the solution.
-    - `SHORT`: the start is near the solution.
-    - `FAR`: the start is far from the solution.
+    - `NONE`: the start practically coincides with the point.
+    - `SHORT`: the start is near the point.
+    - `FAR`: the start is far from the point.
     """
 
     NONE = "none"
@@ -133,10 +133,10 @@ class SolverOptions:
     max_wall_s : float, optional
         Wall-clock time limit for all meshes together [s].
     extra : tuple of (str, value)
-        Further options of Ipopt, as (name, value). They override all other settings. Of two options
-        with the same name, the later one applies.
+        Further options of Ipopt, as (name, value). They override all other settings. If a name
+        occurs twice, the later value applies.
     cold : tuple of (str, value)
-        Further options of Ipopt for solves without a warm start, as (name, value).
+        Options of Ipopt for solves without a warm start, as (name, value).
     """
 
     tolerance: float | None = None
@@ -171,10 +171,10 @@ class SolverOptions:
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
-        """Return settings for models in which an equation holds a variable at a bound for a while.
+        """Return settings for models in which an equation holds a variable at its bound.
 
-        An example is an equation that prescribes full thrust. Ipopt solves the program with all
-        bounds slightly relaxed, and then projects the solution onto the original bounds.
+        An example is an equation that prescribes full thrust for a while. Ipopt relaxes all bounds
+        slightly (by 1e-10, relative), and finally projects the solution onto the original bounds.
         """
         # Equation and bound together leave the feasible set without an interior. Without the
         # relaxation, the multipliers diverge, and a warm start from them is slower than a solve
@@ -211,8 +211,8 @@ class SolverOptions:
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start with a given expected change of the objective.
 
-        The settings choose Ipopt's initial barrier parameter. For a large expected change, they
-        also move the start well inside the bounds.
+        The settings choose Ipopt's initial barrier parameter. For a change above 1e-6, they also
+        move the start about 1e-4 inside the bounds.
 
         Parameters
         ----------
@@ -262,8 +262,8 @@ class SolverOptions:
     def from_afar(self) -> SolverOptions:
         """Return the settings for a solve whose first point violates many inequalities.
 
-        They replace the attribute `cold`, which applies to solves without a warm start. The barrier
-        parameter begins at 0.1 and only decreases: see docs/decisions/speed.md.
+        The settings replace the attribute `cold`, which applies to solves without a warm start. The
+        barrier parameter begins at 0.1 and only decreases: see docs/decisions/speed.md.
         """
         # By default, Ipopt chooses the barrier parameter adaptively, and estimates its first value
         # from the first point. The estimate is then often a thousand times too small, so that the
@@ -273,8 +273,8 @@ class SolverOptions:
     def from_a_flight(self) -> SolverOptions:
         """Return the settings for a solve whose first point is a flight along a route.
 
-        They replace the attribute `cold`, which applies to solves without a warm start. The barrier
-        parameter is at most 0.01.
+        The settings replace the attribute `cold`, which applies to solves without a warm start. The
+        barrier parameter is at most 0.01.
         """
         # The first value of Ipopt's adaptive barrier parameter may be near 1. The iterates then
         # move to flights that take two or three times as long, and need many iterations to return.
@@ -334,13 +334,13 @@ class Effort:
     Attributes
     ----------
     progress : callable or None
-        The caller's own callback, which is called at each iteration within the limits.
+        The caller's own callback.
     limits : (float, float)
-        Numbers of iterations allowed in the first solve, and in all solves together.
+        Iterations allowed in the first solve, and in all solves together.
     limit_s : float
-        Wall-clock time allowed [s], counted from construction.
+        Wall-clock time allowed from construction on [s].
     first, count : int
-        Numbers of iterations used in the first solve, and in all solves together.
+        Iterations so far in the first solve, and in all.
     solves : int
         Number of solves so far.
     is_over : bool
@@ -384,20 +384,17 @@ class IpoptResult:
     ----------
     status : Status
     code : int
-        Ipopt's own return code.
     message : str
-        Ipopt's own message.
     z : ndarray, shape (n_unknowns,)
-        The solution. After a failed or interrupted solve, the iterate with about the least
-        constraint violation (within a factor of ten). If the iterates diverged, the last iterate.
+        The solution. After a failed or interrupted solve, the iterate of least constraint
+        violation, to within a factor of ten. If the iterates diverged, the last iterate.
     multipliers : Multipliers
-        Multipliers of constraints and bounds at the last iterate, for the unscaled program.
+        For the unscaled program, at the last iterate.
     iterations : int
-        Number of iterations; of the last solve, if Ipopt solved the program several times.
+        Number of iterations of the last solve.
     history : tuple of Iteration
-        Progress report of each iteration.
     wall_s : float
-        Wall-clock time [s].
+        Wall-clock time of all solves [s].
     """
 
     status: Status
@@ -622,37 +619,16 @@ def run(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve a nonlinear program by Ipopt, from a point and, for a warm start, from multipliers.
+    """Solve a nonlinear program by Ipopt from the point `start`, warm if `multipliers` are given.
 
-    Parameters
-    ----------
-    program : NonlinearProgram
-    bounds : Bounds
-        Bounds of the unknowns and constraints.
-    scaling : Scaling
-        Factors of the objective, the unknowns and the constraints.
-    start : ndarray, shape (n_unknowns,)
-        Initial point.
-    options : SolverOptions
-    multipliers : Multipliers, optional
-        Initial multipliers of a warm start.
-    progress : callable, optional
-        Called at each iteration. If it returns False, the solve stops with the status
-        `INTERRUPTED`.
-
-    Returns
-    -------
-    IpoptResult
-        After a KeyboardInterrupt, its status is `INTERRUPTED`.
+    If `progress` returns False, or after a KeyboardInterrupt, the status is `INTERRUPTED`. Any
+    other exception in a callback is raised after Ipopt has returned.
 
     Raises
     ------
     TranscriptionError
-        If Ipopt does not accept an option, or cannot load the linear solver.
+        If Ipopt refuses an option, or cannot load the linear solver.
     MemoryError
-        If Ipopt ran out of memory.
-    Exception
-        The first exception in a callback, raised after Ipopt has returned.
     """
     idle = bounds.surplus + 1
     if idle > 0:
@@ -695,7 +671,7 @@ def run(
 def _with_idle_unknowns(
     program: NonlinearProgram, own: int, idle: int, weight: float
 ) -> ExtendedProgram:
-    """Return a program with `idle` more unknowns, so that Ipopt does not treat it as square.
+    """Return a program with `idle` unknowns added to its `own` ones, so that it is not square.
 
     Each added unknown occurs only as a square in the objective, so the optimum is unchanged.
     """
@@ -741,29 +717,10 @@ def run_past_the_barrier(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
+    """Solve a program by Ipopt, and repeat the solve until `barrier_gap` is negligible.
 
-    `barrier_gap` returns the gap. At most two repetitions with at most 100 iterations each follow.
-    If a repetition fails or is interrupted, the result of the previous solve is returned.
-
-    Parameters
-    ----------
-    program, bounds, scaling, start
-        Nonlinear program, bounds of its unknowns and constraints, scaling factors, and initial
-        point.
-    size : callable
-        Unknowns -> magnitude of the objective, with which the gap is compared. An example is
-        `Transcription.objective_size`.
-    options : SolverOptions
-    multipliers : Multipliers, optional
-        Initial multipliers of a warm start.
-    progress : callable, optional
-        Called at each iteration; returning False stops the solve.
-
-    Returns
-    -------
-    IpoptResult
-        The history and the wall-clock time cover the first solve and all converged repetitions.
+    The gap is compared with `size`, which returns the magnitude of the objective at given
+    unknowns. If a repetition fails or is interrupted, the previous result is returned.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)

@@ -1,6 +1,6 @@
 """Check that Ipopt can load the linear solver that its options name.
 
-Without the check, the solve of a model would fail or the whole process would end.
+If Ipopt cannot load the solver, a solve of a model fails, or the whole process ends.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ An `ExtendedProgram` adds unknowns, linear constraints and quadratic costs to a 
 four purposes:
 
 - penalised slacks in the constraints (elastic programs);
-- bounds between the collocation points;
+- constraints that impose bounds between the collocation points;
 - a quadratic cost that keeps controls near given values (damping);
 - idle unknowns, which keep Ipopt from treating a program as a square system.
 """
@@ -227,37 +227,33 @@ def _no_columns() -> NDArray[np.intp]:
 
 @dataclass(frozen=True, kw_only=True)
 class ExtendedProgram:
-    """Nonlinear program with further unknowns s, linear terms and quadratic costs added to it.
+    """Nonlinear program with added unknowns s, linear terms in constraints, and quadratic costs.
 
-    The original program has n unknowns z, n_rows constraints c(z) and the objective f(z). The
-    extended program has the unknowns w = (z, s), with n_more unknowns s.
+    The unknowns are w = (z, s). If `terms` has more rows than c, c counts as 0 in the last rows.
 
     - Objective: ``share * f(z) + prices @ s + sum(weights / 2 * (w[columns] - near)**2)``.
-    - Constraints: ``c(z) + terms @ w``, where c(z) = 0 in the n_more_rows further constraints.
+    - Constraints: ``c(z) + terms @ w``.
 
     Attributes
     ----------
     program : NonlinearProgram
-        The original program, with the objective f.
+        Original program: objective f and constraints c of z.
     share : float
-        Weight of the original objective; 0 leaves it out.
     prices : ndarray, shape (n_more,)
-        Cost per unit of each further unknown.
     columns : ndarray of int, shape (k,)
-        Positions in w of the k unknowns with a quadratic cost, each listed once.
     weights, near : ndarray, shape (k,)
-        For each of these unknowns: weight of the cost, and value at which the cost is zero.
     terms : csr_array, shape (n_rows + n_more_rows, n + n_more), optional
-        Coefficients of the linear terms. No entry may coincide with an entry of the original
-        program's Jacobian.
     """
 
     program: Any
+    # 0 leaves the original objective out.
     share: float = 1.0
     prices: FloatArray = field(default_factory=lambda: _NONE)
+    # Each listed once.
     columns: NDArray[np.intp] = field(default_factory=_no_columns)
     weights: FloatArray = field(default_factory=lambda: _NONE)
     near: FloatArray = field(default_factory=lambda: _NONE)
+    # No entry may coincide with an entry of the original program's Jacobian.
     terms: Any = None
 
     @property

@@ -1,11 +1,9 @@
 """Redundant conditions: found at given unknowns, left out of a solve, and checked afterwards.
 
-A condition is a constraint at declared times (members of the continuous set) or without time. It is
-redundant if it follows from the other equations. For example, the initial conditions imply an end
-condition on a conserved quantity.
-
-On a mesh, it follows only up to the discretisation error. A program that imposes it may have no
-solution, or a single one with unbounded multipliers.
+A condition (constraint at declared times or without time, or fixed value) is redundant if other
+equations imply it. For example, the initial conditions imply an end condition on a conserved
+quantity. On a mesh, they imply it only up to the discretisation error. A program with both may have
+no solution, or unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -29,6 +27,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
 
+# The initial conditions imply, for example, an end condition on a conserved quantity.
 # A condition counts as dependent if the part of its scaled slopes outside the span of the
 # conditions before it is below this fraction: above the error of a first mesh, far below the
 # fraction of any independent condition.
@@ -42,18 +41,18 @@ FORGIVEN = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Condition that may be redundant, because it follows from other equations.
-
-    A condition is a constraint at declared times or without time, or the fixed value of a variable.
+    """Equality condition that may be redundant.
 
     Attributes
     ----------
     name : str
-        Name of the condition, or of the fixed variable and its time.
+        Name of the condition, or of the fixed variable and its time, for messages.
     key : str or (str, float)
         Name of the constraint, or (variable name, fraction of the horizon) of the fixed value.
-    row, column : int
-        Index of the constraint, or of the fixed unknown, in the program. The other attribute is -1.
+    row : int
+        Index of the constraint; -1 if the condition fixes a single unknown.
+    column : int
+        Index of the fixed unknown; -1 for any other condition.
     """
 
     name: str
@@ -96,29 +95,11 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions (constraints or fixed values at declared times) that are redundant.
+    """Return the conditions that are redundant at the unknowns `z`.
 
-    A condition is redundant if its scaled gradient lies in the span of two sets of gradients: those
-    of the equations over time, and those of the conditions found independent before. A part outside
-    the span below 1e-4 of the gradient counts as zero.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds with all conditions imposed.
-    scaling : Scaling
-        Factors by which the gradients are scaled.
-    fixed : dict
-        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
-    z : ndarray, shape (n_unknowns,)
-        Point at which the gradients are evaluated.
-
-    Returns
-    -------
-    tuple of Candidate
-        The redundant conditions.
+    The scaled gradient of such a condition lies in the span of those of the path equations and of
+    the independent conditions before it. `fixed` maps (variable name, fraction of the horizon) to
+    the fixed value.
     """
     candidates = list(_candidates(program, bounds, fixed))
     if not candidates:
@@ -150,10 +131,9 @@ def redundant_conditions(
 def _slopes_of(
     candidates: list[Candidate], slopes: coo_array, free: NDArray[np.intp]
 ) -> list[FloatArray]:
-    """Return the scaled gradients of conditions with respect to the free unknowns.
+    """Return the scaled gradients of conditions with respect to the unknowns `free`.
 
-    `slopes` is the scaled Jacobian, shape (n_rows, n_free); `free` has the positions of these
-    unknowns.
+    `slopes` is the scaled Jacobian, shape (n_rows, n_free).
     """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
@@ -196,29 +176,10 @@ def misses(
     scaling: Scaling,
     z: FloatArray,
 ) -> list[float]:
-    """Return by how much a solution violates the conditions that were left out of its solve.
+    """Return by how much the solution `z` violates each condition that was left out of its solve.
 
-    Parameters
-    ----------
-    left_out : tuple of Candidate
-        The conditions that were left out.
-    program : Transcription
-        Program of the last mesh.
-    bounds : Bounds
-        Bounds of the program with all conditions imposed.
-    fixed : dict
-        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
-        Values that were left out are included.
-    scaling : Scaling
-        Factors of the constraints and the unknowns.
-    z : ndarray, shape (n_unknowns,)
-        The solution without the conditions in `left_out`.
-
-    Returns
-    -------
-    list of float
-        Absolute violation of each condition times its scaling factor, in the order of
-        `redundant_conditions`.
+    The violations are absolute, scaled, and in the order of `redundant_conditions`. Its arguments
+    `bounds` and `fixed` are those with all conditions imposed.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

@@ -1,11 +1,9 @@
 """Merging of equal terms in equations and derivatives, without writing out data of tables.
 
 In a Jacobian or Hessian by CasADi, many terms occur more than once. The function `casadi.cse`
-merges equal terms without changing any result. However, it would write out the whole table of each
-interpolation: a second for a million numbers.
-
-Symbols therefore replace the results of tables while terms are merged. Differentiation may treat
-them as constants, because they are Taylor coefficients: see `collocation.reading.local_splines`.
+merges them, but would write out the whole table of each interpolation: a second for a million
+numbers. Symbols therefore replace the results of tables while terms are merged. The derivatives of
+these results are zero: see `collocation.reading.local_splines`.
 """
 
 from __future__ import annotations
@@ -25,16 +23,16 @@ if TYPE_CHECKING:
 class WithoutCalls:
     """Column of CasADi expressions in which symbols replace the calls of interpolation tables.
 
-    The function `casadi.cse` can then merge equal terms without writing out the tables. If the
-    expressions also call another CasADi function, no call is replaced.
+    If the expressions also call another CasADi function, no call is replaced, and equal terms are
+    not merged.
 
     Attributes
     ----------
     rows : casadi.SX
-        The expressions. If a call was not replaced, equal terms are not merged.
+        The expressions.
     calls : tuple of (casadi.SX, casadi.Function, casadi.SX)
-        For each call of a table: symbols of its result, function that evaluates the table,
-        arguments. Arguments may contain symbols of earlier calls.
+        For each call of a table: symbols of its result, function, and arguments, which may contain
+        symbols of earlier calls.
     """
 
     rows: Any
@@ -42,21 +40,9 @@ class WithoutCalls:
 
     @classmethod
     def of(cls, rows: Any, inputs: Sequence[Any]) -> Self:
-        """Replace each call of an interpolation table in a column of expressions by symbols.
+        """Replace each call of an interpolation table in a dense column of expressions by symbols.
 
-        If the expressions also call another CasADi function, they are returned unchanged.
-
-        Parameters
-        ----------
-        rows : casadi.SX
-            Dense column of expressions.
-        inputs : sequence of casadi.SX
-            Columns that together contain every symbol of the expressions.
-
-        Returns
-        -------
-        WithoutCalls
-            The expressions without calls, and the calls that the symbols replace.
+        `inputs` are columns that together contain every symbol of the expressions.
         """
         function = casadi.Function("rows", list(inputs), [rows])
         steps = range(function.n_instructions())

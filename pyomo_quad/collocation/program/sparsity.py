@@ -1,9 +1,9 @@
 """Layout of the unknowns, sparsity patterns of derivatives, and assembly of their nonzeros.
 
-The derivatives at a single collocation point have the same sparsity pattern at all points. They are
-added to nonzeros of the program's sparse matrices, whose positions are computed once per mesh. The
-time derivatives of the states are linear combinations of the states, not unknowns: see
-docs/theory/transcription.md, eq. (4).
+The derivatives at a single collocation point have the same sparsity pattern at all points. Their
+positions in the program's sparse matrices are computed once per mesh. The time derivatives of the
+states are linear combinations of the states, not unknowns: see docs/theory/transcription.md,
+eq. (4).
 """
 
 from __future__ import annotations
@@ -164,8 +164,7 @@ class Layout:
     def condition_variables(self) -> csr_matrix:
         """Matrix that maps the unknowns to the variables of conditions and objective.
 
-        The rows are those of `point_values`, then one per static variable (without time). Integrals
-        have no row.
+        The rows are those of `point_values`, then one per static variable (without time).
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
@@ -174,8 +173,8 @@ class Layout:
     def point_values(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times in conditions and objective.
 
-        A value is that of a variable or of its derivative. Declared times are the members of the
-        continuous set.
+        There is one row for each item of `Declarations.point_symbols`. Declared times are the
+        members of the continuous set.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -240,16 +239,8 @@ class Contributions:
     def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
         """Add contributions: the entry at (row, column) increases by weight times source.
 
-        The arrays are broadcast against each other.
-
-        Parameters
-        ----------
-        rows, columns : array_like of int
-            Position in the matrix of the entry that each contribution increases.
-        sources : array_like of int
-            Position of each source among the values that CasADi returns.
-        weights : array_like
-            Factor of each source.
+        `sources` are positions among the values that CasADi returns. The arrays are broadcast
+        against each other.
         """
         rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)
         kept = weights != 0.0
@@ -259,21 +250,10 @@ class Contributions:
     def add_slopes(
         self, variables: csr_matrix, rows: Any, of: IndexArray, sources: Any, weights: Any
     ) -> None:
-        """Add derivatives with respect to variables that are linear combinations of the unknowns.
+        """Add the derivatives in the given `rows` with respect to the variables `of`.
 
-        By the chain rule, a derivative contributes to the columns of all unknowns in the linear
-        combination.
-
-        Parameters
-        ----------
-        variables : csr_matrix, shape (n_variables, n_unknowns)
-            Matrix that maps the unknowns to the variables.
-        rows : ndarray of int
-            Row of each derivative in the assembled matrix.
-        of : ndarray of int
-            Index of the variable with respect to which each derivative is taken.
-        sources, weights : ndarray
-            Position of each derivative among the values that CasADi returns, and its factor.
+        The variables are ``variables @ unknowns``. By the chain rule, a derivative contributes to
+        the columns of all unknowns in its variable. For `sources` and `weights`, see `add`.
         """
         rows, of, sources, weights = (
             held.ravel() for held in np.broadcast_arrays(rows, of, sources, weights)
@@ -287,18 +267,9 @@ class Contributions:
     ) -> None:
         """Add second derivatives with respect to pairs of variables, each pair given once.
 
-        Let h be the second derivative with respect to the variables i and j. With the rows v_i and
-        v_j of `variables`, it contributes ``h * outer(v_i, v_j)`` to the Hessian, plus its
-        transpose if i and j differ. Only the lower triangle is assembled.
-
-        Parameters
-        ----------
-        variables : csr_matrix, shape (n_variables, n_unknowns)
-            Matrix that maps the unknowns to the variables.
-        first, second : ndarray of int
-            Indices of the two variables of each second derivative.
-        sources : ndarray of int
-            Position of each second derivative among the values that CasADi returns.
+        The variables are ``variables @ unknowns``. With the rows v_i and v_j of the matrix, a
+        derivative h by variables i and j contributes ``h * outer(v_i, v_j)``, plus its transpose if
+        i and j differ.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -361,33 +332,30 @@ class Scatter:
 class JacobianScatter:
     """Assembly of the constraints' Jacobian and objective's gradient from derivatives at points.
 
-    The inputs of the linear maps are the sources listed in `jacobian_scatter`. A direct integral
-    appears in the objective itself. A static variable (without time) represents any other integral.
+    A direct integral appears in the objective itself; a static variable represents any other. For
+    the inputs (sources) of the maps, see `jacobian_scatter`.
 
     Attributes
     ----------
     rows : Scatter
-        Linear map from the sources to the Jacobian of the constraints.
+        Map to the Jacobian of the constraints.
     objective : Scatter
-        Linear map from the sources to the gradient of the objective for constant direct integrals.
+        Map to the objective's gradient, without direct integrals.
     integrals : tuple of Scatter
-        For each direct integral: linear map from the sources to the gradient of the integral.
-    slope_sources : ndarray of int
-        Positions, among the sources of conditions and objective, of the objective's derivatives
-        with respect to direct integrals. Structural zeros are left out.
-    slope_integrals : ndarray of int
-        Index of the direct integral for each entry of `slope_sources`.
+        Map to each direct integral's gradient.
+    slope_sources, slope_integrals : ndarray of int
+        Sources of the objective's derivatives by direct integrals, and these integrals.
     n_integrals : int
         Number of direct integrals.
     n_path_sources : int
         Number of sources of path equations and integrands.
     unknowns : int
-        Number of unknowns of the program.
     """
 
     rows: Scatter
     objective: Scatter
     integrals: tuple[Scatter, ...]
+    # Positions among the sources of conditions and objective, without structural zeros.
     slope_sources: IndexArray
     slope_integrals: IndexArray
     n_integrals: int
@@ -407,14 +375,8 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the Pyomo model's objective, shape (n_unknowns,).
 
-        The gradient is not negated if the model maximises the objective.
-
-        Parameters
-        ----------
-        sources : ndarray, shape (n_sources,)
-            The derivatives from CasADi, in the order of `jacobian_scatter`.
-        slopes : ndarray, shape (n_integrals,)
-            Derivatives of the objective with respect to the direct integrals.
+        The gradient is not negated if the model maximises the objective. `slopes` come from
+        `objective_slopes`.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
@@ -424,13 +386,13 @@ class JacobianScatter:
 
 
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
-    """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
+    """Return the linear maps that assemble Jacobian and gradient from their sources.
 
-    The inputs of the maps are called sources. In order, they are
+    In order, the sources are
 
     - the nonzeros of the Jacobian of path equations and integrands, point by point;
     - the nonzeros of the Jacobian of conditions (constraints not over time) and objective;
-    - the number 1, as the derivative of ``variable - integral = 0`` by the variable.
+    - the number 1, the derivative of ``variable - integral = 0`` by the variable.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -479,12 +441,10 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
 
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
-    """Return the linear map to the lower triangle of the Lagrangian's Hessian.
+    """Return the linear map from second derivatives to the lower triangle of the Hessian.
 
-    The inputs of the map are, in this order:
-
-    - the nonzeros of the Hessians of path equations and integrands, point by point;
-    - the nonzeros of the Hessian of conditions (constraints not over time) and objective.
+    Its inputs are the nonzeros of the Hessians of path equations and integrands, point by point.
+    Then follow those of conditions (constraints not over time) and objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

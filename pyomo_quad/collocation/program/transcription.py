@@ -39,7 +39,7 @@ class Place:
         Full name of the equation or variable.
     time : float, optional
         Time according to `Transcription.time_of`. None for a variable without time, and for a
-        constraint that is not imposed at each collocation point.
+        constraint other than a path equation.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in the element, from 1.
     """
@@ -140,20 +140,19 @@ class Data:
 class Transcription:
     """Nonlinear program of a model on one mesh, with derivatives, in the form Ipopt requires.
 
-    The order of the constraints ("rows") is:
+    The variables of a point are rates (derivatives of the states by the fraction of the horizon),
+    states, algebraic and static variables. The constraints ("rows") are:
 
     - path equations (equalities and inequalities over time), point by point;
     - conditions (constraints without time, or at members of the continuous set);
-    - constraints that make static variables (variables without time) equal to integrals.
+    - constraints that make static variables equal to integrals.
 
     Parameters
     ----------
     compiled : CompiledModel
-        The model, as CasADi functions of a single collocation point.
     mesh : Mesh or None
         None for a model without time.
     data : Data
-        Parameter values at the collocation points.
     """
 
     def __init__(self, compiled: CompiledModel, mesh: Mesh | None, data: Data) -> None:
@@ -172,7 +171,7 @@ class Transcription:
         self._hold(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments of the constructor, from which a copy is built anew."""
+        """Return the constructor and its arguments, for a pickle."""
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
@@ -238,7 +237,7 @@ class Transcription:
     def horizon(self) -> tuple[float, float] | None:
         """Start and end of the horizon as physical times.
 
-        None for a model without time, and if a static variable gives the start or the end.
+        The result is None for a model without time, or if a static variable gives start or end.
         """
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
@@ -249,8 +248,8 @@ class Transcription:
     def time_of(self, fraction: float) -> float:
         """Return the physical time at a fraction of the horizon, for messages.
 
-        The time is interpolated linearly between start and end of the horizon, so free times inside
-        the horizon are ignored. If `horizon` is None, the result is `fraction` itself.
+        The time is interpolated linearly between start and end of the horizon, also if free times
+        lie inside the horizon. If `horizon` is None, the result is `fraction` itself.
         """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
@@ -298,9 +297,8 @@ class Transcription:
     def objective_density(self, z: FloatArray) -> FloatArray:
         """Return the running cost of the objective at the collocation points, shape (n_points,).
 
-        It is the sum of ``slope * integrand`` over the direct integrals, a density over the
-        fraction of the horizon. A direct integral appears in the objective itself. The slope is the
-        derivative of the objective to minimise with respect to the integral.
+        It is a density over the fraction of the horizon: the sum of ``slope * integrand`` over the
+        integrals in the objective, with the slope d (objective to minimise) / d (integral).
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
@@ -418,25 +416,11 @@ class Transcription:
     def path_weights(
         self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
-        """Return the weights of path equations and integrands in the Lagrangian, at each point.
+        """Return the factors of path equations, then integrands, in the Lagrangian at each point.
 
-        The weight of a path equation is its multiplier. The weight of an integrand is the
-        quadrature weight times the weight of its integral, from `integral_weights`.
-
-        Parameters
-        ----------
-        z : ndarray, shape (n_unknowns,)
-            Unknowns of the program.
-        multipliers : ndarray, shape (n_constraints,)
-            Multipliers of all constraints of the program.
-        factor : float, optional
-            Factor of the Pyomo model's objective in the Lagrangian. The default is 1 for a
-            minimised and -1 for a maximised objective.
-
-        Returns
-        -------
-        ndarray, shape (n_points, n_equations + n_integrals)
-            Weights of the path equations, then of the integrands.
+        They are the multipliers of the path equations, and ``quadrature weight * weight`` for an
+        integrand, with the weight from `integral_weights`. The shape is (n_points, n_equations +
+        n_integrals).
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -449,20 +433,9 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        - For an integral in the objective itself: `factor` times the derivative of the Pyomo
-          model's objective with respect to the integral.
-        - For any other integral: minus the multiplier of the constraint
-          ``variable - integral = 0``.
-
-        Parameters
-        ----------
-        z : ndarray, shape (n_unknowns,)
-            Unknowns of the program.
-        multipliers : ndarray, shape (n_constraints,)
-            Multipliers of all constraints of the program.
-        factor : float, optional
-            Factor of the Pyomo model's objective in the Lagrangian. The default is 1 for a
-            minimised and -1 for a maximised objective.
+        - Integral in the objective itself: `factor` times the derivative of the Pyomo model's
+          objective by the integral. The default is 1, or -1 if the objective is maximised.
+        - Any other integral: minus the multiplier of ``variable - integral = 0``.
         """
         factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
@@ -485,23 +458,10 @@ class Transcription:
         return curvatures
 
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the Hessians of the Lagrangian with respect to the variables of each point.
+        """Return the Lagrangian's Hessian by the variables of each point.
 
-        Each Hessian contains the path equations and integrands at its collocation point. It is
-        divided by the quadrature weight of the point.
-
-        Parameters
-        ----------
-        z : ndarray, shape (n_unknowns,)
-            Unknowns of the program.
-        multipliers : ndarray, shape (n_constraints,)
-            Multipliers of all constraints of the program.
-
-        Returns
-        -------
-        ndarray, shape (n_points, n_variables, n_variables)
-            Hessians. The variables are rates (per fraction of the horizon), states, algebraic and
-            static variables, in this order.
+        The Lagrangian is that of path equations and integrands, divided by the quadrature weight of
+        the point. The shape is (n_points, n_variables, n_variables).
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -522,25 +482,11 @@ class Transcription:
     def path_slopes(
         self, variables: FloatArray, data: FloatArray, rows: IndexArray, columns: IndexArray
     ) -> FloatArray:
-        """Return derivatives of chosen path equations with respect to chosen variables.
+        """Return derivatives of chosen path equations by chosen variables, at each of n points.
 
-        Parameters
-        ----------
-        variables : ndarray, shape (n, n_variables)
-            Rates (derivatives of the states with respect to the fraction of the horizon), states,
-            algebraic and static variables at n points.
-        data : ndarray, shape (n, n_data)
-            Fraction of the horizon and parameters at these points.
-        rows : ndarray of int, shape (n_rows,)
-            Positions of the chosen equations among the path equations, in increasing order.
-        columns : ndarray of int, shape (n_columns,)
-            Positions of the chosen variables among the columns of `variables`, in increasing
-            order.
-
-        Returns
-        -------
-        ndarray, shape (n, n_rows, n_columns)
-            Derivative of each chosen equation with respect to each chosen variable, at each point.
+        `rows` and `columns` are increasing positions of equations and variables. `variables` and
+        `data` (fraction of the horizon, parameters) have one row per point. The shape is (n,
+        n_rows, n_columns).
         """
         path, count = self.compiled.path, len(variables)
         mapped = self._path[1] if count == self.n_points else MappedFunction(path.jacobian, count)
@@ -584,16 +530,8 @@ class Linearised:
 def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
     """Return the derivatives of the differential equations with respect to rates and states.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon. An equality
-    that contains a rate is a differential equation.
-
-    Parameters
-    ----------
-    program : Transcription
-    variables : ndarray, shape (n_points, n_variables)
-        Rates, states, algebraic and static variables at the points of linearisation.
-    data : ndarray, shape (n_points, n_data)
-        Fraction of the horizon and parameters at the points of linearisation.
+    An equality that contains a rate is a differential equation. `variables` and `data` have one row
+    per point, with the columns of `Transcription.path_slopes`.
     """
     path, n = program.compiled.path, program.layout.n_states
     differential = np.zeros(path.values.numel_out(0), dtype=bool)
@@ -610,29 +548,10 @@ def rate_corrections(
 ) -> FloatArray:
     """Return the changes of the rates after which the differential equations are satisfied.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon. An equality
-    that contains a rate is a differential equation.
-
-    Parameters
-    ----------
-    program : Transcription
-    variables : ndarray, shape (n_points, n_variables)
-        Rates, states, algebraic and static variables at the points.
-    data : ndarray, shape (n_points, n_data)
-        Fraction of the horizon and parameters at the points.
-    rows : ndarray, shape (n_points, n_equations)
-        Values of the path equations at the points.
-
-    Returns
-    -------
-    ndarray, shape (n_points, n_states)
-        Newton steps for the rates, exact if the equations are linear in the rates. If there are not
-        as many equations as rates, the least-squares steps of least norm.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If there are as many equations as rates, but they do not determine the rates at a point.
+    They are Newton steps, shape (n_points, n_states), exact if the equations are linear in the
+    rates. If there are fewer or more equations than rates, they are least-squares steps of least
+    norm. Singular square equations raise a `numpy.linalg.LinAlgError`. `rows` has the values of the
+    path equations.
     """
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]

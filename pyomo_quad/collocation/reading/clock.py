@@ -1,11 +1,9 @@
 """Declared times of a horizon, the free times among them, and the phases between free times.
 
-A declared time is a member of the model's continuous set. By default, its value is the physical
-time. For a free time, a static variable (without time), which the solve determines, is the physical
-time. Free times inside the horizon divide it into phases.
-
-The fraction of the horizon is 0 at the first and 1 at the last declared time. Within a phase,
-physical time is linear in it.
+A declared time is a member of the model's continuous set, and usually a physical time. For a free
+time, a static variable (variable without time) is the physical time. Free times inside the horizon
+divide it into phases. The fraction of the horizon is 0 at the first and 1 at the last declared
+time. In each phase, physical time is linear in it.
 """
 
 from __future__ import annotations
@@ -44,24 +42,20 @@ LEAST_PHASE = 1e-6
 class PhaseTimes:
     """Phases of a horizon: the declared times that bound them, and physical time in CasADi symbols.
 
-    The module's docstring defines declared times, free times and phases.
-
     Attributes
     ----------
     name : str
         Name of the continuous set.
     declared : tuple of float
-        Declared times that bound the phases, start and end of the horizon included.
+        Declared times that bound the phases, start and end included.
     times : tuple
-        Physical times of the bounds in `declared`, as CasADi expressions of static variables and
-        parameters.
+        Their physical times, as CasADi expressions.
     fraction : SX
-        Symbol of the fraction of the horizon: 0 at the first and 1 at the last declared time.
+        Symbol of the fraction of the horizon.
     phases : tuple of SX
-        One symbol per phase, 1 at times of the phase and 0 elsewhere. Empty if there is only one
-        phase.
+        Symbols that are 1 in a phase and 0 elsewhere; empty for one phase.
     is_free : bool
-        Whether any of the times in `declared` is free.
+        Whether any time is free.
     """
 
     name: str
@@ -130,10 +124,9 @@ class PhaseTimes:
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
     def phase_of(self, time: float) -> int:
-        """Return the index of the phase that contains a time in the range of the continuous set.
+        """Return the index, from 0, of the phase that contains a given time.
 
-        The first phase has the index 0. A time between two phases belongs to the phase that ends
-        there.
+        A boundary of two phases belongs to the phase that ends there.
         """
         return bisect_left(self.declared[1:-1], time)
 
@@ -147,8 +140,8 @@ class PhaseTimes:
     def orders(self) -> list[tuple[str, Any]]:
         """Return constraints that give every phase of the horizon a positive duration.
 
-        Each item is a name and a CasADi expression that must not be negative: the physical duration
-        of the phase minus 1e-6 times that of the horizon. A single phase has no such constraint.
+        Each item is a name and a CasADi expression >= 0: the duration of the phase minus 1e-6 times
+        the duration of the horizon. There are none for a single phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
@@ -167,29 +160,15 @@ FreeTimes = Mapping[Any, Any]
 def free_times(
     sets: tuple[Any, ...], final_time: Any, times: FreeTimes | None
 ) -> dict[str, dict[float, Any]]:
-    """Collect the static variables that give the physical times of free declared times.
+    """Return the free times as {name of a continuous set: {declared time: static variable}}.
 
-    The module's docstring defines declared and free times.
-
-    Parameters
-    ----------
-    sets : tuple of ContinuousSet
-        Continuous sets of the model, one for each horizon.
-    final_time : Var, optional
-        Static variable for the physical end of the horizon, in a model with a single horizon.
-    times : mapping, optional
-        Declared time -> static variable for its physical time. For several horizons: name of a
-        continuous set -> mapping of this kind.
-
-    Returns
-    -------
-    dict
-        Name of the continuous set -> dict: free declared time -> static variable.
+    `times` has the same form, or {declared time: variable} for a single set. `final_time` is the
+    variable for the end.
 
     Raises
     ------
     TranscriptionError
-        If a set or a time is not declared, or a given variable is not a static variable.
+        If a set or time is not declared, or a variable not static.
     """
     given: dict[str, dict[float, Any]] = {s.name: {} for s in sets}
     if final_time is not None:
@@ -252,7 +231,8 @@ def _declared(time: Any, at: Any) -> float:
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
     """Raise an error if a variable cannot serve as the physical time of a declared time.
 
-    None of the `sets` may index it, and it may serve for one declared time only.
+    None of the `sets` may index it, and it may serve for one declared time only. `given` maps
+    declared times of the set `time` to variables.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

@@ -46,21 +46,20 @@ _TEMPLATE_FRACTION = 0.3819660112501051
 class WorkingCopy:
     """Clone of the user's model with the template time added to each continuous set.
 
-    A model with several horizons has one working copy per horizon, and one for their coupling. The
-    coupling consists of the constraints and the objective that do not belong to a single horizon.
+    A model with several horizons has a working copy for each, and one for the coupling: constraints
+    and objective that do not belong to a single horizon.
 
     Attributes
     ----------
     model : ConcreteModel
         The clone.
     time : ContinuousSet or None
-        Continuous set of the horizon; None for a model without time and for the coupling.
+        None for a model without time, and for the coupling.
     template_time : float
-        The added time.
     declared_times : tuple of float
-        The times that the user declared, in rising order.
+        The user's times, in rising order.
     others : tuple of ContinuousSet
-        Continuous sets of the other horizons, which have their own working copies.
+        Sets of the other horizons.
     """
 
     model: Any
@@ -74,17 +73,11 @@ class WorkingCopy:
         return next((time for time in self.others if is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
-        """Return whether a constraint belongs to this working copy (a horizon, or the coupling).
+        """Return whether a constraint's member `data` belongs to this horizon or coupling.
 
         A constraint over time belongs to the horizon of its continuous set. A constraint without
-        time belongs to a horizon if all time-dependent variables and parameters in it do. All other
-        constraints belong to the coupling.
-
-        Parameters
-        ----------
-        component : Constraint
-        data : ConstraintData
-            Member of the constraint.
+        time belongs to a horizon if its time-dependent variables and parameters all do. All others
+        belong to the coupling.
         """
         # With at most one horizon, every constraint belongs to the only working copy.
         if not self.others:
@@ -119,16 +112,13 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    If the model has several, these sets are left out:
-
-    - a set that indexes no variable;
-    - a set in a deactivated block, unless an active constraint or objective contains a variable
-      over this set.
+    Among several, those that index no variable are left out, and those in a deactivated block that
+    no active constraint or objective uses.
 
     Raises
     ------
     TranscriptionError
-        If the argument is no constructed model, or two of the sets index the same variable.
+        If the argument is no constructed model, or two sets index one variable.
     """
     _refuse_other_than_models(model)
     sets = tuple(
@@ -265,22 +255,15 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 
 
 def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
-    """Clone a model and add one interior time, the template time, to each of its continuous sets.
+    """Clone a model, add a template time to each continuous set, and return the working copies.
 
-    Members of constraints at the template time serve as templates for all times. The given model is
-    not changed.
-
-    Returns
-    -------
-    tuple of WorkingCopy
-        One working copy per horizon; all of them share one clone of the model. A model without time
-        gives a single working copy.
+    There is one for each set, or one for a model without time.
 
     Raises
     ------
     TranscriptionError
-        If a declaration cannot be transcribed, a rule fails at the template time, or a member was
-        changed after its rule made it.
+        If a declaration is unsupported, a rule fails at the template time, or a member differs from
+        its rule.
     """
     copy = model.clone()
     transfer_rules(model, copy)

@@ -4,10 +4,9 @@ In each cell of its grid, a spline of x, y, ... is the sum of the terms
 
     c[i, j, ...] * f_i(x) * g_j(y) * ... ,
 
-where each index runs from 0 to the degree. The factors are powers of the local coordinate, or
-B-spline basis functions. A CasADi function looks up the coefficients c of a cell. It returns value,
-gradient and Hessian at the rounded arguments, a point near the arguments. The spline's expression
-is the Taylor polynomial of degree two about this point: see docs/theory/transcription.md,
+where each index runs from 0 to the degree. A CasADi function looks up the cell's coefficients c. It
+returns value, gradient and Hessian at rounded arguments. The spline's expression is the Taylor
+polynomial of degree two about the rounded arguments: see docs/theory/transcription.md,
 "Interpolation tables".
 """
 
@@ -54,33 +53,23 @@ class LocalSpline:
     ends : tuple of (float, float)
         Interval to which each rounded argument is clipped.
     function : casadi.Function
-        Rounded arguments -> value, gradient and upper triangle of the Hessian of the spline.
+        Rounded arguments -> value, gradient and upper triangle of the Hessian.
     kept : tuple of casadi.Function
-        Derivatives of `function` for CasADi, which are zero. Stored here, they are not constructed
-        anew for each expression.
+        Derivatives of `function`, which are zero.
     """
 
     roundings: tuple[float, ...]
     ends: tuple[tuple[float, float], ...]
     function: Any
+    # CasADi would otherwise construct the derivatives anew for each expression.
     kept: tuple[Any, ...]
 
     @classmethod
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
         """Return a B-spline in the form of a `LocalSpline`.
 
-        The B-spline must be linear in the first and last interval of each axis, as is that of
-        `Spline.through`. In these intervals, the result is the tangent from the neighbouring
-        interval.
-
-        Parameters
-        ----------
-        knots : sequence of ndarray
-            Knots along each axis.
-        coefficients : ndarray
-            B-spline coefficients, with one array axis per argument of the spline.
-        degree : int
-            Degree of the B-spline along every axis.
+        It must be linear in the first and the last interval of each axis, as is that of
+        `Spline.through`. The coefficients have one array axis per argument.
         """
         place: Any = casadi.MX.sym("place", len(knots))
         found = _jet(place, knots, coefficients, degree)
@@ -184,8 +173,8 @@ _Parts = dict[tuple[int, ...], Any]
 def _weights(count: int, cells: int, degree: int) -> Any:
     """Return a CasADi function for the factors of a spline in a grid cell, with their derivatives.
 
-    Its result has a matrix per axis: value, first and second derivative of each factor. The first
-    `cells` axes have powers.
+    Its result has a matrix per axis: value, first and second derivative of each factor. The factors
+    of the first `cells` axes are powers of the local coordinate, the others basis functions.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)
@@ -226,8 +215,8 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
     """Return a CasADi function that sums over the first two axes (or the only axis) of a spline.
 
-    The result is a column of value, gradient and upper triangle of the Hessian. `given` are keys of
-    `_Parts`.
+    The result is a column of value, gradient and upper triangle of the Hessian. `given` has the
+    keys of a `_Parts` dictionary.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left
@@ -289,7 +278,7 @@ class _Pieces:
     def of(cls, knots: FloatArray, degree: int) -> Self:
         """Return the polynomial pieces of the B-spline basis with given knots, in each cell.
 
-        In the first and the last cell, they are the tangents at the neighbouring cell.
+        In the first and the last cell, the pieces are the tangents at the neighbouring cell.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 

@@ -63,13 +63,13 @@ class RelationReader:
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
         """Return the equations over time, and the conditions (constraints not imposed over time).
 
-        The equations are equalities and inequalities at all times; bounds of time derivatives come
-        last. Constraints of other horizons are left out.
+        Bounds of time derivatives are the last equations. Constraints of other horizons are left
+        out.
 
         Raises
         ------
         TranscriptionError
-            If a constraint is not supported; the message names it.
+            If a constraint is not supported.
         """
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
@@ -139,7 +139,7 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList that has the same constraint at each declared time.
 
-        Only lists that contain nothing but algebraic variables over time are checked.
+        A list with a state or a variable without time is accepted.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -261,7 +261,8 @@ class RelationReader:
     ) -> bool:
         """Return whether a condition equals an equation over time, evaluated at a declared time.
 
-        Rules that branch on time are evaluated just before (`side` = -1) or just after it (1).
+        Rules that branch on time are evaluated just before (`side` = -1) or just after (1) this
+        time.
         """
         # A condition that equals its equation need not be imposed separately.
         table = self.symbols
@@ -296,11 +297,10 @@ class RelationReader:
         return all(same_expression(moved[k], moved[k + 3]) for k in range(3))
 
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
-        """Return the states that are fixed at declared times, as (name, fraction of the horizon).
+        """Return the fixed states as (name, fraction of the horizon), and append to `conditions`.
 
-        The method appends to `conditions` the other fixed values at declared times, and bounds
-        assigned at single declared times. If a variable is fixed without a value, a
-        TranscriptionError is raised.
+        Appended are other fixed values, and bounds assigned at single declared times. If a variable
+        is fixed without a value, a TranscriptionError is raised.
         """
         fixed = []
         table = self.symbols
@@ -377,28 +377,15 @@ def _is_met_as_fixed(data: Any) -> bool:
 def read_declarations(
     model: Any, final_time: Any = None, times: FreeTimes | None = None
 ) -> tuple[Declarations, ModelReader]:
-    """Read the declarations of a Pyomo model with at most one horizon.
+    """Return a model with at most one horizon in CasADi symbols, and the reader that made it.
 
-    Parameters
-    ----------
-    model : ConcreteModel
-        Model with one ContinuousSet that is not discretised, or with none at all.
-    final_time : Var, optional
-        Static variable of the model that becomes the end of the horizon.
-    times : mapping, optional
-        Free times: member of the continuous set -> static variable (without time) for its physical
-        time, which the solve determines.
-
-    Returns
-    -------
-    Declarations, ModelReader
-        The model in CasADi symbols, and the reader that made it. The reader can write further
-        expressions in the same symbols.
+    `final_time` and `times` are explained in `free_times`. The reader can write further expressions
+    in the same symbols.
 
     Raises
     ------
     TranscriptionError
-        If the model declares something unsupported or incomplete; the message names it.
+        If the model declares something unsupported or incomplete.
     """
     sets = continuous_sets(model)
     free = free_times(sets, final_time, times)
@@ -440,26 +427,18 @@ class ModelReader:
         self.equations, self.conditions = self._relations.constraints()
 
     def require_all(self) -> None:
-        """Raise an error for a model without a variable to solve for, or without complete dynamics.
+        """Raise an error for a model without a variable to solve for, or a state without dynamics.
 
-        For complete dynamics, an equality over time must contain the derivative of each state. See
-        `_require_dynamics` for an exception.
+        Dynamics are an equality over time that contains the state's derivative.
         """
         self._require_dynamics(self.equations)
         self._require_variables()
 
     def declarations(self, cost: Any, objective: Any) -> Declarations:
-        """Return the model in CasADi symbols: variables, parameters, constraints and objective.
+        """Return the model in CasADi symbols, with the objective's expression `cost`.
 
-        Call this method only once, because it appends to the attribute `conditions`. It appends
-        fixed values, bounds at single times, and constraints that keep free times in order.
-
-        Parameters
-        ----------
-        cost : casadi.SX
-            Expression of the objective.
-        objective : Objective or None
-            The Pyomo objective, for its name and sense.
+        Call it once: it appends to `conditions` the fixed values, bounds at single times, and
+        positive durations of phases. `objective` is the Pyomo objective, or None.
         """
         conditions = self.conditions
         fixed = self._relations.values_at_points(conditions)
@@ -498,9 +477,8 @@ class ModelReader:
         )
 
     def _read_expressions(self) -> None:
-        """Translate every named expression over time once, even if no equation contains it."""
-        # The parameters in these expressions thus become parameters of the compiled program, so
-        # that a solution can evaluate the expressions.
+        """Translate each named expression over time, so that its parameters are compiled."""
+        # A solution can then evaluate also those expressions that no equation contains.
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
         ):

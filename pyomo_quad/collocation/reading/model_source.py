@@ -76,9 +76,9 @@ def declared_unit(model: Any, name: str) -> str:
 
 
 def _spelled(unit: Any) -> str:
-    """Return a Pyomo unit as an engineer writes it: N*rad**2 of a thrust becomes N.
+    """Return a Pyomo unit as text without angles, for example N for N*rad**2.
 
-    Angles count as dimensionless, and a compound unit that equals a named unit gets its name.
+    A compound unit that equals a named unit gets the name.
     """
     text = str(unit)
     if "*" not in text and "/" not in text:
@@ -199,8 +199,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time, None if it is not usable.
 
-        A usable rule gives the model's values that are not fixed, and does not fail at a declared
-        time. The function raises a `TranscriptionError` where the rule fails.
+        A usable rule returns the model's values at the declared times, except for fixed values. The
+        function raises a `TranscriptionError` where the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -247,16 +247,15 @@ class LiveModel:
         return component[slot.index if len(slot.index) > 1 else slot.index[0]]
 
     def signal(self, slot: Slot) -> Callable[[float], float]:
-        """Return a parameter over time as a function of time.
+        """Return a parameter over time as a function of time, from its rule.
 
-        The function calls the parameter's rule, and raises a `TranscriptionError` where the rule
-        fails. A parameter without a rule must be constant.
+        The function raises a `TranscriptionError` where the rule fails.
 
         Raises
         ------
         TranscriptionError
-            If a parameter without a rule is not constant, a rule fails at a declared time, or the
-            model's values differ from those of the rule.
+            If a parameter without a rule is not constant, or a rule fails or differs from the
+            model's values.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -282,17 +281,8 @@ class LiveModel:
     def load(self, slot: Slot, time: float | None, number: float) -> None:
         """Set a variable of the Pyomo model at one time to its solved value.
 
-        A variable that the user fixed keeps its value.
-
-        Parameters
-        ----------
-        slot : Slot
-            The variable: one member of a Pyomo variable, for example ``omega[1]`` of
-            ``omega[1, t]``.
-        time : float or None
-            Member of the continuous set; None for a variable that is not indexed by time.
-        number : float
-            The solved value.
+        A fixed variable keeps its value. `time` is a member of the continuous set, or None for a
+        variable without time.
         """
         component = self.model.find_component(slot.component)
         if component.ctype is Var:
@@ -327,21 +317,11 @@ class LiveModel:
         over_time: Mapping[str, Callable[[float], float]],
         once: Mapping[str, float],
     ) -> None:
-        """Write the given sensitivities of constraints or of variables into a Pyomo suffix.
+        """Write sensitivities of constraints or variables (`kind`) into a Pyomo suffix.
 
-        A sensitivity is a derivative of the objective with respect to a constraint's constant side,
-        a variable's bound, or a state.
-
-        Parameters
-        ----------
-        suffix : Suffix
-            Suffix of the user's model that receives the sensitivities.
-        kind : type
-            Type of the Pyomo components to which the sensitivities belong: Constraint or Var.
-        over_time : mapping
-            Sensitivities over time: name without the time -> function of time.
-        once : mapping
-            Sensitivities at single times, and of components without time: full name -> number.
+        They are derivatives of the objective by a constraint's constant side, a variable's bound,
+        or a state. `over_time` maps names without time to functions of time, `once` maps full names
+        to numbers.
         """
         for component in self.model.component_objects(kind, active=True, descend_into=True):
             for index, data in component.items():
@@ -398,7 +378,7 @@ class LiveModel:
         """Return a parameter over time as an `Interpolant` over `horizon`, for pickling.
 
         Jumps are searched between neighbouring times of `asked`. If the approximation fails, the
-        result has a message instead.
+        interpolant has no pieces, and `refusal` says why.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -414,8 +394,8 @@ def _as_interpolant(
 ) -> Interpolant:
     """Return a function of time as an `Interpolant` over `horizon`, for pickling.
 
-    Jumps are searched between neighbouring times of `asked`. If the approximation fails, the result
-    has a message instead.
+    Jumps are searched between neighbouring times of `asked`. If the approximation fails, the
+    interpolant has no pieces, and `refusal` says why.
     """
     try:
         edges = list(jumps(partial(as_reading, function), asked))
@@ -428,29 +408,22 @@ def _as_interpolant(
 class ModelSnapshot:
     """Values that a model had when its problem was pickled, with the interface of `LiveModel`.
 
-    The snapshot takes the place of the `LiveModel` in a pickled problem.
-
     Attributes
     ----------
     times : tuple of float
-        Declared times, the members of the model's continuous set.
-    names : frozenset of str
-        Names of the model's components.
-    constants : frozenset of str
-        Names of the components that are immutable parameters.
+        Members of the model's continuous set.
+    names, constants : frozenset of str
+        Names of all components, and of immutable parameters.
     units : dict
         Units by component name.
     parameters : dict
-        Name -> value of a parameter without time; None if it had no value.
+        Values by name; None if unset.
     variables : dict
-        (Name, declared time) -> value of a variable; None if it had no value. The time is None for
-        a variable without time.
-    signals : dict
-        Name -> parameter over time, as a function of time.
-    guesses : dict
-        Name of a variable -> its `initialize` rule, as a function of time.
+        Values by (name, time or None); None if unset.
+    signals, guesses : dict
+        Parameters over time, and `initialize` rules, by name.
     schedules : tuple of Interpolant
-        Results of the method `row` of each `Schedule` or `Phases` object, as functions of time.
+        `row` of each `Schedule` or `Phases` object, as functions of time.
     """
 
     times: tuple[float, ...]

@@ -1,7 +1,7 @@
 """Reading of a model's objective; an objective that sums a control over time is refused.
 
-The user probably means an integral, because a control's value at a single time has no effect on the
-trajectory.
+A control's value at a single time has no effect on the trajectory, so the user probably means an
+integral.
 """
 
 from __future__ import annotations

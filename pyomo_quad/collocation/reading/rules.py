@@ -60,15 +60,15 @@ def _innermost(rule: Any) -> Any:
 
 
 def function_of(component: Any) -> Any:
-    """Return the user's function that makes a component's members: (block, index) -> expression."""
+    """Return the user's function in a component's rule: (block, index) -> expression."""
     return getattr(_innermost(component._rule), _FUNCTION)  # noqa: SLF001
 
 
 def rule_of(component: Any) -> Any:
     """Return the rule that makes the members of a component, as a Pyomo initializer, or None.
 
-    The default function of a mutable parameter counts as a rule. A constant does not, nor does the
-    rule of a ConstraintList.
+    The default function of a mutable parameter counts as a rule. A constant and a ConstraintList
+    have no rule.
     """
     if isinstance(component, ConstraintList):
         return None  # Its rule counts its own calls and takes no index.
@@ -97,17 +97,9 @@ def initial_rule_of(variable: Any) -> Any:
 
 
 def refuse_lost_members(copy: Any, template_time: float) -> None:
-    """Raise an error for a rule that fails at the template time.
+    """Raise an error for an indexed constraint or expression whose rule fails at the template time.
 
-    The template time is an interior time added to a continuous set, at which equations over time
-    are read.
-
-    Parameters
-    ----------
-    copy : ConcreteModel
-        Clone of the user's model, with the template time. Its indexed constraints and named
-        expressions are checked.
-    template_time : float
+    `copy` is the clone of the user's model that has this time.
 
     Raises
     ------
@@ -129,13 +121,12 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    For each indexed constraint and named expression of the clone `copy`, only the last member is
-    checked.
+    Only the last member of each indexed constraint or expression is checked.
 
     Raises
     ------
     TranscriptionError
-        If the member differs, or the rule fails; the message names the member or component.
+        If the member differs, or the rule fails.
     """
     # Equations over time are read by calling the rule again. The call would not show a change by
     # Pyomo's method `set_value`.
@@ -277,9 +268,9 @@ def _global_names(code: CodeType) -> set[str]:
 
 
 def refusal(name: str, error: Exception) -> TranscriptionError:
-    """Return the error for a rule that fails at a time that the model did not declare.
+    """Return the error for a rule of the component `name` that fails at an undeclared time.
 
-    The message has the component's name and the exception of the rule.
+    The message has the exception of the rule.
     """
     return TranscriptionError(
         f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "

@@ -1,11 +1,11 @@
 """Rules that branch on time, as data over time for compiled equations.
 
-A rule that branches on its time, or looks up numbers by it, is no formula of time. This module
-calls it at many times, and sorts the returned expressions into forms. Expressions of one form
-differ in numbers only. At every collocation point, the compiled equations read which form applies,
-and its numbers that vary. Bisection finds the times at which these data jump.
+A rule that branches on its time, or looks up numbers by it, is called at many times. Results that
+differ in numbers only have the same form. The compiled equations contain all forms. At each
+collocation point, they read which form applies, and those of its numbers that vary. Bisection finds
+the times at which these data jump.
 
-A pickle stores piecewise polynomials of time instead.
+A pickle stores piecewise polynomials of time instead of the rule.
 """
 
 from __future__ import annotations
@@ -125,22 +125,13 @@ class _Form:
 class Schedule:
     """Rule that branches on time, as a few compiled forms and their numbers over time.
 
-    Results of the rule that differ only in their numbers share one form.
-
-    Parameters
-    ----------
-    name : str
-        Name of the component, for messages and symbols.
-    say : callable
-        Time -> `Statement`, the result of the rule.
-    times : sequence of float
-        Declared times (members of the continuous set), beside and between which the rule is called.
-    place : callable, optional
-        Time -> time with which the rule is called instead. It may return one time for a whole
-        interval in which the result is constant. By default, the time is unchanged.
+    `say` maps a time to the rule's result, and is called beside and between the declared times
+    `times`. `place` maps a time to the time at which `say` is called instead.
 
     Attributes
     ----------
+    name : str
+        Name of the component.
     slots : tuple of Slot
         Data that the compiled forms read: factors that select the form, then the numbers that vary.
 
@@ -191,8 +182,7 @@ class Schedule:
         Raises
         ------
         TranscriptionError
-            If the form, or a number that varies, was not found at the times tried before
-            compilation.
+            If the form is not compiled, or a number that is compiled as a constant differs.
         """
         return _remembered(self._known, self._place(time), self._read)
 
@@ -208,8 +198,8 @@ class Schedule:
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         """Assign the result of a rule to its form, or register the form if it is new.
 
-        After compilation, a `TranscriptionError` is raised for a new form or a new number that
-        varies; before, for too many forms.
+        Before compilation, a `TranscriptionError` is raised for too many forms. After it, the error
+        is raised for a new form, or a new number that varies.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -237,8 +227,8 @@ class Schedule:
     def row(self, time: float) -> list[float]:
         """Return the values of `slots` at one time: first the factors, then the numbers.
 
-        The factor of a form is 1 if the form applies at the time, else 0. The last of several forms
-        has no factor, and applies if all factors are 0.
+        The factor of a form is 1 if the form applies at the time, else 0. With several forms, the
+        last one has no factor: it applies if all factors are 0.
         """
         return _remembered(self._rows, self._place(time), self._row)
 
@@ -252,25 +242,11 @@ class Schedule:
         return row
 
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
-        """Return the parts of the rule's result as CasADi expressions that hold at all times.
+        """Return the parts of the rule's result, as CasADi expressions that hold at all times.
 
-        The parts are lower bound, body and upper bound of a constraint, or a single expression.
-        Each combines all forms, with the symbols of `slots`.
-
-        Parameters
-        ----------
-        write : callable
-            Translator of a part: (Pyomo expression, numbers) -> CasADi expression. The iterator
-            `numbers` yields an item for each number in the expression: a symbol if it varies, else
-            the number itself.
-        absent : sequence
-            Replacement of each part that is None, for example minus infinity for an absent lower
-            bound.
-
-        Returns
-        -------
-        list of casadi.SX
-            One expression per part.
+        The parts are lower bound, body and upper bound, or a single expression; `absent` replaces
+        None. `write` translates a Pyomo expression, given an iterator over its numbers or their
+        symbols.
         """
         forms = []
         for k, form in enumerate(self._forms.values()):
@@ -290,7 +266,7 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Give forms without bounds the body of the first other form, if it is linear.
+        """Give forms of a skipped constraint the body of the first other form, if it is linear.
 
         `forms` has lower bound, body and upper bound of each form, and is changed in place.
         """
@@ -372,15 +348,8 @@ def probes(times: Sequence[float]) -> list[float]:
 def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterator[float]:
     """Yield, in rising order, the times at which a function of time jumps.
 
-    A jump is a change of the key. It is also a change of a number that does not decrease when the
-    interval around it is halved.
-
-    Parameters
-    ----------
-    reading : callable
-        Time -> `Reading`, which has the key and the numbers.
-    times : sequence of float
-        Times in rising order. Jumps are searched by bisection between neighbouring times.
+    A jump is a change of the reading's key, or of a number that stays as large when bisection
+    halves its interval. Jumps are searched between neighbouring `times`, which rise.
     """
     for start, end in pairwise(times):
         resolution = _RESOLUTION * max(abs(times[0]), abs(times[-1]), times[-1] - times[0])
@@ -429,10 +398,10 @@ def _steps(
 
 
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
-    """Return the fraction of the horizon at which parameters are evaluated for a given fraction.
+    """Return the fraction of the horizon, beside jumps and ends, at which to evaluate parameters.
 
-    The result is just before a jump, slightly inside the horizon at 0 and 1, and otherwise
-    `fraction` itself. `jumps_at` are fractions at which parameters jump, in rising order.
+    The result is just before a jump, just inside the horizon at 0 and 1, and otherwise `fraction`
+    itself. `jumps_at` are fractions in rising order.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -503,18 +472,15 @@ _COMPARED = np.array([-0.97, -0.61, -0.28, 0.13, 0.52, 0.83, 0.99])
 class Interpolant:
     """Approximation of functions of time by piecewise Chebyshev polynomials.
 
-    Without pieces, the attribute `refusal` says why: a function fails, or too many pieces are
-    needed.
-
     Attributes
     ----------
     edges : tuple of float, length n_pieces + 1
         Times that bound the pieces, in rising order, including all jumps. An edge belongs to the
         piece that starts there.
     pieces : tuple of ndarray, shape (degree + 1, n_functions)
-        Chebyshev coefficients of each piece.
+        Chebyshev coefficients; empty if the approximation failed.
     refusal : str
-        Message of the error for a time outside the edges, or for any time if there are no pieces.
+        Error message for a time outside the edges, or for the failure.
     """
 
     edges: tuple[float, ...]
@@ -554,27 +520,11 @@ def interpolant(
     horizon: tuple[float, float],
     jumps: Sequence[float],
 ) -> Interpolant:
-    """Approximate functions of time by piecewise polynomials over a horizon, for pickling.
+    """Approximate the functions of time `row` by piecewise polynomials, for pickling.
 
-    The horizon is divided at the jumps. A piece is then halved until a polynomial of degree 12
-    reproduces each function to 1e-13 of the function's largest magnitude in the piece.
-
-    Parameters
-    ----------
-    name : str
-        Name of the component, for messages.
-    row : callable
-        Time -> sequence with the value of each function.
-    horizon : (float, float)
-        Times at which the approximation starts and ends.
-    jumps : sequence of float
-        Times at which the functions jump, in rising order.
-
-    Returns
-    -------
-    Interpolant
-        The polynomials. If a function raises a `TranscriptionError`, or if more than 20,000 pieces
-        are needed, the result has a message with the reason instead.
+    A piece between two `jumps` is halved until polynomials of degree 12 reproduce each function to
+    1e-13 of its largest magnitude there. If `row` raises a `TranscriptionError`, or more than
+    20,000 pieces are needed, the result has no pieces.
     """
     start, end = horizon
     refusal = (

@@ -1,9 +1,8 @@
 """CasADi symbols of a Pyomo model's components, and the model as expressions of these symbols.
 
-In Pyomo, a constraint over time has one member for each time in the continuous set. An interior
-time, the template time, is added to this set in a clone of the model. The constraint's member at
-the template time is translated to CasADi, and imposed at every collocation point. Declared times
-are the members that the continuous set has in the user's own model.
+A clone of the model has an additional interior time in its continuous set, the template time. The
+member of a constraint at this time is translated to CasADi, and imposed at every collocation point.
+The declared times are the members of the set in the user's own model.
 """
 
 from __future__ import annotations
@@ -33,26 +32,15 @@ if TYPE_CHECKING:
 class TimeSymbol:
     """Symbol for time that is passed to a rule of the model, so that one call serves all times.
 
-    - As an index, it equals the template time. The rule's ``m.x[t]`` is the member at this time.
-    - In arithmetic, it is a Pyomo parameter that stands for physical time.
-    - In a comparison by <, <=, > or >=, it is a number.
-
-    Parameters
-    ----------
-    template : float
-        Template time, which the symbol equals as an index.
-    parameter : Param
-        Parameter that stands for physical time in arithmetic.
-    declared : tuple of float, optional
-        Times that the continuous set has in the user's own model.
-    number : float, optional
-        Number used in comparisons; the template time by default.
+    - As an index, it equals the time `template`.
+    - In arithmetic, it is the Pyomo parameter `parameter` for physical time.
+    - In a comparison by <, <=, > or >=, it is `number`, by default `template`.
 
     Attributes
     ----------
     is_read : bool
-        Whether the rule used the number of the symbol, except in comparisons with declared times.
-        If so, the result does not hold at all times.
+        Whether the rule used the number, except in comparisons with `declared` times. Its result
+        then does not hold at all times.
     """
 
     def __init__(
@@ -158,9 +146,8 @@ for _operation in (
 class Instant(float):
     """Time that a rule receives; used as an index, it selects variables at the template time.
 
-    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. In ``t == 2``, the
-    template time is compared. At whatever time the rule is called, its result refers to variables
-    at the template time.
+    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. As for an index,
+    ``t == 2`` compares the template time.
     """
 
     __slots__ = ("template",)
@@ -192,8 +179,7 @@ RegisterNumericType(Instant)
 class _TrapezoidProbe:
     """Stand-in for the block of an integral: its continuous set consists of two equal times.
 
-    Called with this stand-in, the rule of a `pyomo.dae.Integral` returns the integrand: see
-    `integrand`.
+    The rule of a `pyomo.dae.Integral` then returns the integrand: see `integrand`.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -221,14 +207,8 @@ def time_parameter() -> Any:
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     """Return the integrand of a `pyomo.dae.Integral` at a time, as a Pyomo expression.
 
-    Parameters
-    ----------
-    integral : Integral
-    index : index of the integral, or None
-        Index of the member whose integrand is returned; None for an integral without index.
-    symbol : TimeSymbol or Instant
-        The time: a `TimeSymbol` for all times, or an `Instant` for one time. With either, the
-        variables in the result are those at the template time.
+    The variables in it are those at the template time. `symbol` is a `TimeSymbol` for all times, or
+    an `Instant` for one time.
     """
     # `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. The
     # rule is called for a single trapezoid: both ends are `symbol`, and its width is defined as 1.
@@ -348,30 +328,29 @@ class AddressBook:
 class Slot:
     """Scalar variable or parameter of the model, with its CasADi symbol.
 
-    A `Slot` named ``rotors.omega[1]`` stands for ``rotors.omega[1, t]`` at all times t.
-
     Attributes
     ----------
     name : str
-        Name with index, as ``rotors.omega[1]``.
+        Name with index but without time: ``rotors.omega[1]`` for ``rotors.omega[1, t]``.
     component : str
         Full name of the Pyomo component.
     index : tuple
-        Index without the time: (i,) for ``x[i, t]``, () for ``x[t]`` and for ``x``.
+        Index without time: (1,) in the example, () for ``x[t]`` and ``x``.
     symbol : casadi.SX
     lower, upper : casadi.SX
-        Bounds as expressions of parameters and time, infinite by default. Until the whole model is
-        read, the bounds of the Pyomo variable, or None.
+        Bounds, infinite by default.
     nominal : float, optional
         Declared magnitude, for scaling.
     rate : casadi.SX, optional
-        Symbol of a state's derivative with respect to the fraction of the horizon.
+        Symbol of a state's derivative by the fraction of the horizon.
     """
 
     name: str
     component: str
     index: tuple[Any, ...]
     symbol: Any
+    # Expressions of parameters and time. Until the whole model is read, the bounds of the Pyomo
+    # variable, or None.
     lower: Any = field(default_factory=lambda: casadi.SX(-casadi.inf))
     upper: Any = field(default_factory=lambda: casadi.SX(casadi.inf))
     nominal: float | None = None
@@ -467,11 +446,9 @@ class Declarations:
     parameters, signals : tuple of Slot
         Parameters without time, and parameters over time.
     scheduled : tuple of Slot
-        Symbols for quantities that Python evaluates at each collocation point: the phase of the
-        horizon, and branch and numbers of rules that branch on time.
+        Other data over time: the phase, and data of rules that branch on time.
     clock : PhaseTimes
-        Physical times in CasADi symbols: start and end of the horizon, and the free times, which
-        the solve determines.
+        Physical times in CasADi symbols.
     equations : tuple of PathEquation
         Constraints over time.
     conditions : tuple of PointCondition
@@ -482,17 +459,14 @@ class Declarations:
     objective : casadi.SX
     maximise : bool
     fixed : tuple of (str, float)
-        States that a user fixed at a declared time, as (name, fraction of the horizon). Their
-        values are read at each solve.
+        Fixed states, as (name, fraction of the horizon).
     outputs, output_equations, output_starts : tuple
-        Output states with their equations and initial conditions. Neither the objective nor other
-        equations depend on an output state.
+        States on which neither the objective nor other equations depend, with their equations and
+        initial conditions.
     objective_name : str
         "" if there is no objective.
     has_horizon : bool
-        Whether the model has a continuous set.
     table_uses : tuple of TableUse
-        Arguments of interpolation tables, with the ranges of the tables.
     """
 
     states: tuple[Slot, ...]
@@ -508,6 +482,7 @@ class Declarations:
     integrals: tuple[Integral, ...]
     objective: Any
     maximise: bool
+    # The values of these states are read at each solve.
     fixed: tuple[tuple[str, float], ...] = ()
     outputs: tuple[Slot, ...] = ()
     output_equations: tuple[PathEquation, ...] = ()
@@ -542,21 +517,18 @@ class Declarations:
 class SymbolTable:
     """Table of the CasADi symbols of a model's variables and parameters, each made at first use.
 
-    The symbol of a variable at the template time stands for the variable as a function of time. Its
-    symbol at any other time stands for the value at that time.
+    The symbol of a variable at the template time stands for a function of time, and at any other
+    time for the value.
 
     Parameters
     ----------
     copy : WorkingCopy
         Clone of the model with the template time.
     addresses : AddressBook
-        Splitter of indices into time and the other indices.
     free : mapping
-        Declared time (member of the continuous set) -> static variable that gives its physical
-        time.
+        Declared time -> static variable for its physical time.
     statics : dict
-        Static variables by name, to which new ones are added; several horizons share the
-        dictionary.
+        Static variables by name, shared by several horizons; new ones are added.
     """
 
     def __init__(
@@ -619,8 +591,7 @@ class SymbolTable:
     def leaf(self, data: Any) -> Any:
         """Return a Pyomo variable, time derivative or mutable parameter in CasADi symbols.
 
-        A time derivative, and a parameter that equals time, give an expression. If the component is
-        indexed by the time of another horizon, an error is raised.
+        If the component is indexed by the time of another horizon, an error is raised.
         """
         address = self._addresses.of(data)
         self._refuse_other_horizon(data)
@@ -689,7 +660,7 @@ class SymbolTable:
     def _signal(self, data: Any, address: Any) -> Any:
         """Return the symbol of a parameter over time, or of its value at one time.
 
-        If its rule returns just its time, the result is the expression of physical time.
+        For a rule as ``lambda m, t: t``, the result is the expression of physical time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)

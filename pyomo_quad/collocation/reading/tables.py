@@ -115,8 +115,8 @@ def _extended_linearly(
 ) -> tuple[FloatArray, FloatArray]:
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
-    Beyond the data points `at`, it is the tangent at the nearest one. Data run along the first
-    axis.
+    Beyond the data points `at`, the spline is its tangent at the first or last data point. Data run
+    along the first axis.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
 
@@ -144,8 +144,8 @@ class Table(PythonCallbackFunction):
     """Interpolation table: values on a grid as a smooth function, for use in a Pyomo model.
 
     With ``m.density = Table(heights, densities)``, a rule may contain ``m.density(m.h[t])``. The
-    function is the cubic not-a-knot spline through the values, which is twice continuously
-    differentiable. Outside the grid, it is extrapolated linearly.
+    function is the cubic not-a-knot spline through the values, twice continuously differentiable.
+    Outside the grid, it is extrapolated linearly.
 
     Parameters
     ----------
@@ -158,8 +158,8 @@ class Table(PythonCallbackFunction):
     Raises
     ------
     TranscriptionError
-        If there are too few points, points do not rise, a number is not finite, or the shape of the
-        values does not match.
+        If there are too few points, points do not rise, a number is not finite, or the values have
+        the wrong shape.
     """
 
     def __init__(self, *grid: Any, **keywords: Any) -> None:
@@ -244,27 +244,11 @@ class TableUse:
 
 
 def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUse]) -> Any:
-    """Return the CasADi expression of a call of an external function (Pyomo ExternalFunction).
+    """Return the CasADi expression of the call `node` of an external function in a Pyomo model.
 
-    A `Table` becomes its spline. A Python function that accepts symbols becomes the expression that
-    it returns. Any other function is sampled between the bounds of its arguments, and becomes the
-    spline through the samples.
-
-    Parameters
-    ----------
-    node : Pyomo expression
-        The call of the function.
-    arguments : sequence of casadi.SX
-        Arguments of the call, already translated to CasADi.
-    owner : str
-        Name of the component that contains the call, for messages.
-    uses : list of TableUse
-        List to which the arguments of splines are added, with their ranges.
-
-    Raises
-    ------
-    TranscriptionError
-        If a function that needs numbers cannot be replaced by a spline: see `_sampled`.
+    A `Table`, and a function that needs numbers (see `_sampled`), become a spline, whose arguments
+    are added to `uses`. Any other Python function becomes the expression that it returns for
+    symbols. `owner` is the calling component.
     """
     function = node._fcn  # noqa: SLF001
     is_python = isinstance(function, PythonCallbackFunction)

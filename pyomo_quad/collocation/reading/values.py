@@ -42,17 +42,15 @@ class Instance:
     parameters : ndarray, shape (n_parameters,)
         Values of the parameters without time.
     horizon : (float, float)
-        Start and end of the horizon, as physical times.
+        Start and end, as physical times.
     fixed : dict
-        (Variable name, fraction of the horizon) -> value, for variables fixed at declared times
-        (members of the continuous set).
+        (Variable name, fraction of the horizon) -> fixed value.
     overrides : mapping
-        Full name -> parameter value from the caller: a number, or a function of time.
+        Full name -> number or function of time, from the caller.
     jumps : tuple of float
-        Fractions of the horizon at which a time-dependent parameter may jump.
+        Fractions of the horizon at which a parameter may jump.
     left_out : frozenset of str
-        Names of constraints at declared times that are left out, because they follow from other
-        equations.
+        Names of redundant conditions, which are not imposed.
     """
 
     parameters: FloatArray
@@ -73,10 +71,7 @@ class Instance:
         }
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
-        """Return this object itself, since it is immutable.
-
-        The caller's functions of time are not copied.
-        """
+        """Return this object itself, since it is immutable."""
         return self
 
     def _picklable(
@@ -84,8 +79,8 @@ class Instance:
     ) -> float | Interpolant | Steps:
         """Return a parameter's value from the caller in a form that can be pickled.
 
-        A function of time becomes an `Interpolant` over the horizon, unless it is an `Interpolant`
-        or `Steps`.
+        Numbers, `Interpolant` and `Steps` objects are returned unchanged. Any other function of
+        time becomes an `Interpolant` over the horizon.
         """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
@@ -125,36 +120,30 @@ class ModelValues:
     ) -> FloatArray:
         """Return the values of the parameters without time, shape (n_parameters,).
 
-        Parameters
-        ----------
-        overrides : mapping, optional
-            Values that replace those in the model, by mutable Pyomo parameter, fixed variable, or
-            full name. Values of other components have no effect.
-        horizon : (float, float), optional
-            Start and end of the horizon; by default those of the continuous set. If a static
-            variable gives the start or the end, the value given here has no effect.
+        Values in `overrides` (see `by_name`) replace those of the model. `horizon` is by default
+        the range of the continuous set.
 
         Raises
         ------
         TranscriptionError
-            If an override names no component of the model, or a value is missing. Also if a value
-            is a function of time and the model has free times.
+            If a parameter has no value, or an override is refused.
         """
         named = self.by_name(overrides)
         start, end = horizon or self.declared_horizon
+        # If a static variable is the start or the end, the model has no such parameter.
         ends = {"horizon.start": start, "horizon.end": end}
         return np.array([self._parameter(slot, named, ends) for slot in self._declared.parameters])
 
     def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
-        """Return the parameter values that the caller gives, with full names as keys.
+        """Return the caller's parameter values by full name.
 
-        A key of `overrides` is the full name of a parameter, or the Pyomo parameter itself.
+        The keys of `overrides` are full names or Pyomo components.
 
         Raises
         ------
         TranscriptionError
-            If a name is no component of the model, or is an immutable parameter. Also if a value is
-            a function of time and the model has free times.
+            If a name is no component or an immutable parameter, or if a value is a function of time
+            although times are free.
         """
         named = {
             key.name
@@ -167,6 +156,7 @@ class ModelValues:
                 "parameters: a function of time is not allowed if times are free, because they "
                 "move its values; declare the function as the parameter's rule."
             )
+        # Overrides of other components than mutable parameters and fixed variables have no effect.
         for name in named.keys() - self._known:
             if not self._source.has(name):
                 raise TranscriptionError(
@@ -195,15 +185,13 @@ class ModelValues:
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
         """Return the time-dependent data as a function of the fraction of the horizon.
 
-        The data are the parameters over time, then the values of `Declarations.scheduled`. At a
-        jump, the function returns the values just before it. The function raises a
-        `TranscriptionError` if a rule that branches on time returns an expression that was unknown
-        at compilation.
+        The data are the parameters over time, then the values of `Declarations.scheduled`; at a
+        jump, those just before it.
 
         Raises
         ------
         TranscriptionError
-            If `LiveModel.signal` refuses a parameter over time to which the caller gives no value.
+            If a parameter has neither an override nor a rule that `LiveModel.signal` accepts.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -228,11 +216,10 @@ class ModelValues:
     def jumps(
         self, overrides: Overrides | None, horizon: tuple[float, float] | None
     ) -> tuple[float, ...]:
-        """Return the fractions of the horizon at which time-dependent data may jump.
+        """Return the rising fractions of the horizon at which time-dependent data may jump.
 
-        In rising order, these are the declared times inside the horizon, and the times at which
-        parameters or results of rules jump. Jumps of `Steps` are left out. Without time-dependent
-        data, the result is empty.
+        These include the declared times inside the horizon, but no steps of a `Steps` object.
+        Without time-dependent data, the result is empty.
         """
         if not self._declared.has_signals:
             return ()
@@ -251,7 +238,7 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return start and end of the range of times with which rules of the model are called.
 
-        With free times, it is the range of the continuous set, else `horizon`.
+        With free times, it is the range of the continuous set. Otherwise it is `horizon`.
         """
         # With free times, the physical times are unknown.
         found = self.declared_horizon if self._declared.clock.is_free else horizon
@@ -346,17 +333,8 @@ class ModelValues:
     def load(self, slot: Slot, fraction: float | None, number: float) -> None:
         """Set a variable of the Pyomo model at one time to its solved value.
 
-        A variable that a user fixed at the time keeps its value.
-
-        Parameters
-        ----------
-        slot : Slot
-            The variable.
-        fraction : float or None
-            Member of the continuous set as a fraction of the horizon; None for a variable without
-            time.
-        number : float
-            The solved value.
+        A fixed variable keeps its value. `fraction` is the time as a fraction of the horizon, None
+        for a variable without time.
         """
         time = None
         if fraction is not None:
@@ -378,7 +356,7 @@ class ModelValues:
     def snapshot(self) -> ModelSnapshot:
         """Return the model's current values, for a pickle.
 
-        Functions of time become piecewise polynomials over the continuous set and the horizons of
+        Functions of time become piecewise polynomials over the times of the continuous set and of
         all solves so far.
         """
         return self._source.snapshot(self._declared, self._widest)

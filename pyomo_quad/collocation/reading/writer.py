@@ -77,20 +77,15 @@ _OPERATIONS: tuple[tuple[Any, Callable[..., Any]], ...] = (
 
 
 class ExpressionWriter:
-    """Translator of Pyomo expressions to CasADi expressions.
+    """Translator of Pyomo expressions to CasADi expressions; each named expression is written once.
 
     Parameters
     ----------
     leaf : callable
-        Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
+        Returns the symbol of a Pyomo variable or mutable parameter (data object).
     named : callable, optional
-        Takes a named Pyomo expression and returns its replacement, a CasADi or Pyomo expression.
-        For None, the definition of the named expression is translated.
-
-    Notes
-    -----
-    A named expression is translated once and then shared. The work therefore grows with the text of
-    the model, not with the number of times that an expression is used.
+        Returns a CasADi or Pyomo expression that replaces a named Pyomo expression, or None to
+        translate the named expression's definition.
     """
 
     def __init__(
@@ -98,6 +93,8 @@ class ExpressionWriter:
     ) -> None:
         self._leaf = leaf
         self._replace = named or (lambda _expression: None)
+        # Translations by id. The work grows with the text of the model, not with the number of
+        # times that an expression is used.
         self._named: dict[int, Any] = {}
         self._owner = ""
         self.table_uses: list[TableUse] = []
@@ -153,7 +150,7 @@ class ExpressionWriter:
     def _atom(self, child: Any) -> Any:
         """Return the CasADi symbol or number for an operand that is not itself an operation.
 
-        A unit gives the number 1.
+        A unit counts as the factor 1.
         """
         if isinstance(child, _PyomoUnit):
             return 1.0
@@ -240,21 +237,18 @@ class TemplateWriter:
     Parameters
     ----------
     copy : WorkingCopy
-    free : mapping
-        Declared time (member of the continuous set) -> static variable that gives its physical
-        time.
-    statics : dict, optional
-        Static variables by name, shared by several horizons.
+    free, statics
+        See `SymbolTable`.
 
     Attributes
     ----------
     integrals : dict
         Integrals found so far, by name.
     table_uses : list of TableUse
-        Arguments of interpolation tables found so far.
+        Arguments of tables found so far.
     schedules : list of Schedule or Phases
-        A `Schedule` for each rule that branches on time or looks up numbers by time. For a horizon
-        with several phases, also a `Phases` object.
+        A `Schedule` for each rule that branches on time or looks up numbers by time. Also a
+        `Phases` object if there are several phases.
     """
 
     def __init__(
@@ -274,16 +268,10 @@ class TemplateWriter:
         self._in_path = False
 
     def write(self, expression: Any, owner: str, *, over_time: bool = False) -> Any:
-        """Return the CasADi expression of a Pyomo expression.
+        """Return the CasADi expression of a Pyomo expression or number in the component `owner`.
 
-        Parameters
-        ----------
-        expression : Pyomo expression or number
-        owner : str
-            Name of the component that contains the expression, for messages.
-        over_time : bool, default False
-            Whether the expression belongs to an equation over time. A value at a declared time is
-            then an error.
+        With `over_time`, the expression belongs to an equation over time, and a value at a declared
+        time is an error.
         """
         before, self._in_path = self._in_path, over_time
         try:
@@ -303,16 +291,8 @@ class TemplateWriter:
     ) -> PathEquation | None:
         """Return a constraint over time as a `PathEquation`: lower <= expression <= upper.
 
-        The result is None for a constraint at declared times only. Its rule skips all times between
-        them, or it has neither a rule nor a member at the template time.
-
-        Parameters
-        ----------
-        component : Constraint
-        index : tuple
-            Index without the time: (i,) for ``x[i, t]``.
-        instance : ConstraintData or None
-            The constraint's member at the template time, None if it has no such member.
+        `instance` is its member at the template time, or None. The result is None if the rule skips
+        all times between the declared ones, or there is neither rule nor member.
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -325,6 +305,7 @@ class TemplateWriter:
             return _relation(rule(block, self.addresses.join(component, index, time)), name)
 
         (lower, body, upper), is_equality = self._over_time(name, say)
+        # The rule skips all times between the declared times.
         if body.is_constant() and is_unbounded(lower, upper):
             return None
         if is_equality:
@@ -358,17 +339,12 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return a variable's bounds for all times, if a user changed the bounds after declaration.
 
-        Returns
-        -------
-        (lower, upper) or None
-            None if changed bounds apply at single declared times only. This is so if a member keeps
-            its declared bounds. It is also so for a state without fixed members whose members'
-            bounds differ.
+        The result is None if bounds were changed nowhere, or at single declared times only.
 
         Raises
         ------
         TranscriptionError
-            If the changed bounds do not tell which bounds apply between the declared times.
+            If it is unclear which bounds apply between the declared times.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -379,6 +355,7 @@ class TemplateWriter:
         # declared times.
         if is_same and not is_state:
             return members[0].lower, members[0].upper
+        # Different bounds of a state apply at the declared times only.
         if is_state and not is_same:
             return None
         raise TranscriptionError(
@@ -452,15 +429,14 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint's member at a declared time, with a free physical time as a symbol.
+        """Return a constraint's member at a declared time, whose time is a symbol if it is free.
 
-        The symbol replaces the number in a rule such as ``m.x[t] == t``. A member without a rule is
-        returned unchanged.
+        For example, the member of ``m.x[t] == t`` contains the symbol instead of a number.
 
         Raises
         ------
         TranscriptionError
-            If the rule needs a physical time as a number although it depends on a free time.
+            If the rule uses a free time as a number.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -526,13 +502,8 @@ class TemplateWriter:
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        The index is without time: (i,) for ``x[i, t]``. If there is no component over time called
-        `name`, the result is None.
-
-        Raises
-        ------
-        KeyError
-            If the component has no such index.
+        The index is without time: (i,) for ``x[i, t]``. The result is None if no component over
+        time is called `name`. If the component has no such index, a KeyError is raised.
         """
         found = self.copy.model.find_component(name)
         if found is None or self.addresses.time_position(found) is None:
@@ -555,7 +526,7 @@ class TemplateWriter:
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `index` is the index without the time: (i,) for ``x[i, t]``.
+        Unlike in `over_time`, the component itself is given. `index` is without time.
         """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
@@ -613,7 +584,7 @@ class TemplateWriter:
         return self._by_rule[name]
 
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
-        """Return a parameter over time as a differentiable CasADi expression of time.
+        """Return a parameter over time as a CasADi expression of time.
 
         At a declared time, its value is returned. Without a rule, the result is a symbol.
         """

@@ -37,11 +37,10 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
 
 def switch_elements(solution: Solution) -> frozenset[int]:
-    """Return the indices of elements in or beside which a limit on controls switches.
+    """Return the indices of elements in or beside which only limits on controls switch.
 
     A limit on controls contains algebraic variables only. It switches where it becomes active or
-    inactive. Switches at `known_boundaries` are not counted. An element is left out if a limit on a
-    state or rate also switches in or beside it.
+    inactive, except at `known_boundaries`. No other limit may switch there.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     # A costate may jump where a limit on a state or a rate (time derivative of a state) switches.
@@ -78,11 +77,10 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return which element boundaries of the mesh the problem requires, shape (n_elements + 1,).
+    """Return which element boundaries every mesh of the problem must have, (n_elements + 1,).
 
-    The problem requires the start and the end of the horizon. It also requires each time at which a
-    parameter jumps, a variable is fixed, or a condition applies. Times to which the objective
-    refers are required, too.
+    These are start and end of the horizon, jumps of parameters, times of fixed variables and
+    conditions, and times in the objective.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
@@ -131,9 +129,10 @@ def kinks(solution: Solution) -> FloatArray:
 
 
 def _zero(times: FloatArray, values: FloatArray) -> float:
-    """Return the time at which a positive function reaches zero, by inverse extrapolation.
+    """Return the time at which a positive function reaches zero, extrapolated from samples.
 
-    The first sample is nearest to the zero. If the values do not rise, the result is NaN.
+    The first sample is the nearest to the zero. If the values do not rise from it, the result is
+    NaN.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan

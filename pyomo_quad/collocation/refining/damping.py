@@ -33,9 +33,6 @@ _FAR = 1e-2
 class Damping:
     """Penalty on the distance between controls and the smoothed controls of a solution.
 
-    A smoothed control consists of straight lines between its means over the elements. If `is_still`
-    is True, it is a polynomial of low degree in each element, clipped to the control's limits.
-
     Attributes
     ----------
     solution : Solution
@@ -43,11 +40,10 @@ class Damping:
     controls : ndarray of int, shape (n_controls,)
         Positions of the damped controls among the algebraic variables.
     prices : ndarray, shape (n_controls,)
-        Factor of the penalty for each control. The penalty is ``factor / 2`` times the mean over
-        the horizon of ``(control - smoothed control)**2``.
+        The penalty is ``price / 2`` times the mean over the horizon of ``(control - smoothed
+        control)**2``.
     gap : float
-        Complementarity gap at which the solve on the next mesh ends, in the unit of the objective:
-        see `program.ipopt.barrier_gap`. For 0, Ipopt's usual final barrier parameter applies.
+        `program.ipopt.barrier_gap` at the end of the next solve; 0 for Ipopt's usual one.
     is_still : bool
         Whether the objective hardly changes from mesh to mesh any more.
     """
@@ -72,8 +68,7 @@ class Damping:
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return a stronger damping, with penalties multiplied by `factor` and `is_still` set.
 
-        Its gap is ``max(self.gap, gap * nominal)``, where ``nominal`` is the nominal magnitude of
-        the objective.
+        The attribute `gap` becomes at least `gap` times the nominal magnitude of the objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -94,10 +89,12 @@ class Damping:
     def _near(self, fractions: FloatArray) -> FloatArray:
         """Return the smoothed controls of the previous mesh, shape (n_fractions, n_controls)."""
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
+        # A polynomial of low degree in each element, clipped to the control's limits.
         if self.is_still:
             lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
             return np.clip(_smoothed(mesh, held, fractions), lower, upper)
-        # Damping toward the point values would preserve chattering.
+        # Straight lines between the means over the elements: damping toward the point values would
+        # preserve chattering.
         middles, means = _element_means(mesh, held)
         near = [np.interp(fractions, middles, mean) for mean in means.T]
         return np.reshape(near, (self.controls.size, fractions.size)).T
@@ -137,28 +134,11 @@ def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArr
 def damping_of(
     solution: Solution, weight: float, *, gap: float = 0.0, is_still: bool = False
 ) -> Damping | None:
-    """Return the damping of a solution's controls for the solve on the next mesh.
+    """Return the damping on the next mesh of bounded controls that enter nearly linearly.
 
-    A bounded control is damped if the second derivative of the Lagrangian with respect to it is
-    small at some collocation point.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution on the previous mesh.
-    weight : float
-        Penalty, divided by the objective's nominal magnitude, of a control that always differs from
-        the smoothed control by its whole range.
-    gap : float, optional
-        Complementarity gap at which the next solve ends, relative to the objective: see
-        `program.ipopt.barrier_gap`. For 0, Ipopt's usual final barrier parameter applies.
-    is_still : bool, optional
-        Whether the objective hardly changes from mesh to mesh any more: see `Damping`.
-
-    Returns
-    -------
-    Damping or None
-        None if neither a control is to be damped nor a gap is given.
+    If a control differs from the smoothed control by its whole range, its penalty is `weight` times
+    the objective's nominal magnitude. `gap` is relative to this magnitude, too. Without such
+    controls and gap, the result is None.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower
@@ -167,7 +147,8 @@ def damping_of(
     if weight > 0.0 and np.any(is_bounded):
         prices[is_bounded] = 2.0 * weight * solution.nominal_objective / width[is_bounded] ** 2
         # Where the second derivative is small, the control enters nearly linearly. A cost with a
-        # smoothed corner has curvature at the corner only, and is linear beside it.
+        # smoothed corner has curvature at the corner only, and is linear beside it. The least
+        # curvature over all points therefore decides.
         controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
     if controls.size == 0 and gap == 0.0:
         return None

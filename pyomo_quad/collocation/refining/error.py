@@ -34,26 +34,15 @@ if TYPE_CHECKING:
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     """Return how much the state errors of each element change the final states.
 
-    The linearised equations propagate each error to the end of the horizon in open loop, without
-    feedback by the controls: see docs/theory/refinement.md, eq. (3).
-
-    Parameters
-    ----------
-    solution : Solution
-        The solution at which the equations are linearised.
-    errors : ndarray, shape (n_elements, n_states)
-        Errors of the states that arise within each element, at the element's end.
-
-    Returns
-    -------
-    ndarray, shape (n_elements, n_states)
-        Magnitudes of the changes to first order, relative to max(1, abs(final state)). Zero if the
-        equations do not determine all time derivatives of states.
+    `errors` are those at each element's end, shape (n_elements, n_states). They grow in open loop:
+    see docs/theory/refinement.md, eq. (3). The result, of the same shape, is absolute, relative to
+    max(1, abs(final state)).
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
     equations = linearised(program, variables, program.data.at_points())
     misses = np.zeros_like(errors)
+    # The equations do not determine all time derivatives of the states.
     if equations.rows.size != errors.shape[1]:
         return misses
     growth = np.eye(errors.shape[1])
@@ -109,13 +98,13 @@ class Allowance:
         A bound that varies with time clips no control.
     limit_breach : float
         Tolerable violation of any other limit, relative to max(1, abs(limit)). A larger violation
-        counts itself as error. A smaller one counts by its effect on the objective.
+        counts itself as error, a smaller one counts by its effect on the objective.
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
-        Tolerance on the states between the points, relative to their magnitudes; by default that of
-        the refinement. A larger value suffices if a simulation with feedback follows. Residuals of
-        algebraic equations may then be ten times the value.
+        Tolerance on the states between the points, relative to their magnitudes. By default, it is
+        the tolerance of the refinement. If a simulation with feedback follows, a larger value
+        suffices. Residuals of algebraic equations may then be ten times the value.
     """
 
     control_breach: float = np.inf
@@ -130,56 +119,48 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    The tolerance applies to the whole horizon. Errors that add up over n elements are therefore
-    extrapolated: ``min(n * error, sum of the errors of all elements)``. See
-    docs/theory/refinement.md, eq. (2). The nominal magnitude of the objective is
-    `Solution.nominal_objective`.
+    Errors that add up over the elements are extrapolated by docs/theory/refinement.md, eq. (2).
 
     Attributes
     ----------
     states : ndarray, shape (n_elements, n_states)
-        Largest error of each state between the collocation points, relative to `state_sizes`. If
-        `Allowance.state_error` is given, errors are multiplied by tolerance / state_error.
+        Largest error of each state, relative to `state_sizes`.
     violation : ndarray, shape (n_elements,)
-        Violation of path equations and bounds between the collocation points, relative to max(1,
-        abs(bound)). If it is within its tolerance, its estimated effect counts: see `_breaches`.
+        Violation of path equations and bounds, or its effect: see `_breaches`.
     objective : ndarray, shape (n_elements,)
-        Effect of the state errors on the objective, computed with the costates. Extrapolated, and
-        relative to the objective's nominal magnitude.
+        Effect of the state errors on the objective.
     switches : ndarray, shape (n_elements,)
-        Possible cost of control switches at a wrong time inside an element. Extrapolated, and
-        relative to the objective itself. Computed if all errors but `costs` are below the
-        tolerance; otherwise zero.
+        Possible cost of misplaced control switches.
     costs : ndarray, shape (n_elements,)
-        Twice the attribute `objective`, but relative to the objective itself. The factor allows for
-        the unknown error of the controls. Computed under the same condition as `switches`.
+        Twice `objective`, relative to the objective itself.
     restraint : ndarray, shape (n_elements,)
-        Cost of the bounds that are imposed between the collocation points. Extrapolated, and
-        relative to the objective's nominal magnitude. Doubled, because the cost may use up only
-        half of the tolerance.
+        Twice the cost of bounds imposed between the points.
     integrals : ndarray, shape (n_elements,)
-        Largest quadrature error of the objective and all integrals. Extrapolated. Relative to the
-        objective's nominal magnitude, or to max(1, abs(integral)).
+        Largest quadrature error of objective and integrals.
     miss : ndarray, shape (n_elements,)
-        Effect of the state errors on the final states, multiplied by tolerance /
-        `Allowance.final_miss`.
+        Effect of the state errors on the final states.
     gap : float
-        Complementarity gap that the barrier leaves, relative to the objective. A finer mesh does
-        not reduce the gap.
+        Complementarity gap, relative to the objective.
     is_clipped : ndarray of bool, shape (n_elements,)
-        Whether a control is clipped to its limit within the element. The clipped control has a
-        corner, which no polynomial degree resolves.
+        Whether a control is clipped in the element.
     """
 
+    # Between the collocation points, as all errors.
     states: FloatArray
     violation: FloatArray
+    # Computed with the costates. Relative to `Solution.nominal_objective`, as are `restraint` and
+    # the objective's quadrature error. Other integrals: relative to max(1, abs(integral)).
     objective: FloatArray
+    # Both are relative to the objective itself, and zero while another error exceeds the tolerance.
     switches: FloatArray
     costs: FloatArray
+    # Doubled, because the cost may use up only half of the tolerance.
     restraint: FloatArray
     integrals: FloatArray
     miss: FloatArray
+    # A finer mesh does not reduce the gap.
     gap: float
+    # A clipped control has a corner, which no polynomial degree resolves.
     is_clipped: NDArray[np.bool_]
 
     @property
@@ -209,9 +190,9 @@ class ErrorEstimate:
 
     @property
     def largest(self) -> float:
-        """Largest error of the solution, which the refinement compares with the tolerance.
+        """Largest of all errors in all elements and the relative complementarity gap.
 
-        It is the larger of the largest error in any element and the relative complementarity gap.
+        The refinement compares it with the tolerance.
         """
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
@@ -219,24 +200,10 @@ class ErrorEstimate:
 def estimate_error(
     solution: Solution, *, tolerance: float = 1.0, allowance: Allowance | None = None
 ) -> ErrorEstimate:
-    """Estimate the errors of a solution, element by element.
+    """Estimate the errors of a solution between its collocation points, element by element.
 
-    `ErrorEstimate` describes the kinds of error, and docs/theory/refinement.md, "Error estimation",
-    the estimates.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution on one mesh, whose errors between the collocation points are estimated.
-    tolerance : float, optional
-        Tolerance with which all errors will be compared. Errors with a tolerance of their own in
-        `allowance` are scaled accordingly.
-    allowance : Allowance, optional
-        Tolerances for flying the controls in open loop.
-
-    Returns
-    -------
-    ErrorEstimate
+    An error that has its own tolerance in `allowance` is multiplied by ``tolerance / own
+    tolerance``. For the estimates, see docs/theory/refinement.md, "Error estimation".
     """
     allowance = allowance or Allowance()
     finer, free, panels = _sampled(solution, _finer_places, _dense_places, _panelled_places)
@@ -368,12 +335,7 @@ def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     """Return the state errors if algebraic variables are evaluated by their polynomials.
 
     In contrast, `estimate_error` evaluates an algebraic variable by the equation that defines it.
-    It therefore misses errors of the variable's polynomial between the collocation points.
-
-    Returns
-    -------
-    ndarray, shape (n_elements, n_states)
-        Errors relative to the states' magnitudes.
+    The errors are relative to `state_sizes`, shape (n_elements, n_states).
     """
     # For example, ``r + r^3 = f`` defines r, which enters ``x' = r``. Between the collocation
     # points, r has two values: the solution of the equation, and the value of its polynomial.
@@ -434,8 +396,8 @@ def _clipped(
 ) -> _Samples:
     """Return samples with the controls clipped to their limits, and equations evaluated anew.
 
-    `limits` are lower and upper limits of the algebraic variables, infinite for those that are no
-    controls.
+    `limits` are lower and upper limits of the algebraic variables. They are infinite for variables
+    that are not controls.
     """
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
@@ -560,7 +522,8 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
 def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
     """Return the values of all integrands at sample times, shape (n_samples, n_integrals).
 
-    A value that is undefined even with the variables clipped to their limits is infinite.
+    If a value is undefined, the variables are clipped to their limits. If it remains undefined, it
+    is infinite.
     """
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
@@ -580,7 +543,8 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
     """Return the share of each element in the error of the final states, shape (n_elements,).
 
-    It is ``weight * error * contribution / largest contribution`` of the worst final state.
+    For the final state with the largest error, it is ``weight * error * contribution / largest
+    contribution``, with the contributions of the elements to this error.
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -596,8 +560,8 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    Equations count by ``weight * residual``, and limits by the estimated effect of a tolerable
-    violation, or else the violation.
+    Residuals of equations are multiplied by `weight`. A violation within its tolerance counts by
+    its estimated effect on the states or the objective, any other counts itself.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -622,22 +586,10 @@ def _prices(solution: Solution) -> FloatArray:
 
 
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
-    """Return the worst relative violations of equations and limits at each sample.
+    """Return the worst violations at each sample, three arrays of shape (n_samples,).
 
-    A violation is relative to max(1, abs(bound)), and zero where an equation or limit is satisfied.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program of the model, with its equations and limits.
-    samples : _Samples
-        Variables and values of the path equations at n_samples times.
-
-    Returns
-    -------
-    tuple of three ndarray, shape (n_samples,)
-        Violations of algebraic equations, of limits that involve states or rates, and of limits on
-        controls alone.
+    These are violations of algebraic equations, of limits that involve states or rates, and of
+    limits on controls alone. They are relative to max(1, abs(bound)), and zero where satisfied.
     """
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data

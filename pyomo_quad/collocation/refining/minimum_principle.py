@@ -1,12 +1,10 @@
 """Tests of a solution by Pontryagin's principle: better controls, and singular arcs.
 
-A solution of the nonlinear program is a local minimum. If the Hamiltonian has two local minima in a
-control, a switch between them may stay where the first mesh put it. Mesh refinement does not reveal
-this error.
+If the Hamiltonian has two local minima in a control, a switch between them may stay where the first
+mesh put it. Mesh refinement does not reveal this.
 
-On a singular arc, large deviations of the states hardly change the objective. The states may
-therefore be inaccurate although the objective is accurate. Derivations: see
-docs/theory/refinement.md, eqs. (10) and (11).
+On a singular arc, the states may be inaccurate although the objective is accurate: large deviations
+hardly change it. Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 """
 
 from __future__ import annotations
@@ -43,21 +41,10 @@ _KEPT = 1e-9
 
 
 def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
-    """Return a solution whose controls have a lower Hamiltonian, if this improves the objective.
+    """Return a copy of a solution with controls of lower Hamiltonian; None if the gain is small.
 
-    States and costates are those of `solution`. The expected improvement is the decrease of the
-    Hamiltonian, integrated over the horizon.
-
-    Parameters
-    ----------
-    solution : Solution
-    tolerance : float
-        Least improvement that counts, relative to `Solution.nominal_objective`.
-
-    Returns
-    -------
-    Solution or None
-        Initial point for another solve; None if the improvement is too small.
+    The gain is the decrease of the Hamiltonian, integrated over the horizon. It must exceed
+    `tolerance` times `Solution.nominal_objective`. States and costates are unchanged.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -212,32 +199,11 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The estimate is the largest of these numbers:
-
-    - the largest estimated error of the solution;
-    - twice the sum of a state's errors over all elements;
-    - if there is a singular arc: the state error of docs/theory/refinement.md, eq. (11);
-    - if `before` is given: the violation of limits on states or rates between the points;
-    - if `before` is given: the change of the states since the previous mesh, and their change if a
-      control jumps at another time inside its element.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution whose distance from the optimum is estimated.
-    error : ErrorEstimate
-        Estimated errors of `solution`.
-    before : Solution, optional
-        Solution on the previous mesh; given if limits become active or inactive inside elements.
-    change : float
-        Relative change of the objective since the previous mesh, or since an earlier mesh that met
-        the tolerance.
-
-    Returns
-    -------
-    float
-        Estimated largest error of a state over the horizon, dimensionless.
+    `before` is the solution on the previous mesh, given if limits become active or inactive inside
+    elements. `change` is the least relative change of the objective since an earlier mesh.
     """
+    # The result is the largest of several estimates. The first two are the largest error of the
+    # solution, and twice the sum of a state's errors over all elements, for the worst state.
     moving = np.maximum(error.states, state_errors_as_interpolated(solution))
     own = max(error.largest, _UNSEEN * float(moving.sum(axis=0).max(initial=0.0)))
     order = singular_order(solution)
@@ -246,7 +212,9 @@ def state_error(
         factor, root = _FELT[order]
         own = max(own, factor * max(error.largest, change) ** root)
     # With `before`, limits become active or inactive inside elements. The times of these changes
-    # depend on the mesh, and are inaccurate.
+    # depend on the mesh, and are inaccurate. Three more estimates are then added: the violation of
+    # limits between the points, the change of the states since the previous mesh, and their change
+    # if a control jumps at another time inside its element.
     if before is None:
         return own
     mesh, path = solution.mesh, solution.trajectory
@@ -313,7 +281,8 @@ def singular_order(solution: Solution) -> int:
 def _barriers(solution: Solution) -> FloatArray:
     """Return second derivatives of Ipopt's barrier function, shape (n_points, n_algebraics).
 
-    They are taken with respect to the algebraic variables, per unit of quadrature weight.
+    They are the derivatives with respect to each algebraic variable, divided by the quadrature
+    weight of the point.
     """
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
@@ -325,7 +294,7 @@ def _barriers(solution: Solution) -> FloatArray:
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
     """Return where no path inequality and no bound of a state is active, shape (n_points,).
 
-    A control can be singular only there. Elements with a single point are excluded.
+    A control can be singular only there. The result is False in elements with a single point.
     """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics

@@ -1,13 +1,12 @@
 """hp-adaptive mesh refinement: solve, estimate the error, change the mesh, solve again.
 
-Terms in this module (see docs/theory/refinement.md):
+Terms (see docs/theory/refinement.md):
 
-- Damping: penalty on the distance between the controls and the smoothed controls of the previous
-  mesh. Only controls that enter linearly are damped.
+- Damping: penalty on changes of controls that enter linearly.
 - Complementarity gap: error that Ipopt's barrier leaves in the objective, eq. (16).
-- Settled objective: an objective that changed by at most half the tolerance since the previous
-  mesh, or since an earlier mesh that met the tolerance.
-- Restart: new start of the refinement from controls that are better by Pontryagin's principle.
+- Settled objective: changed by at most half the tolerance since the previous mesh, or an earlier
+  mesh that met the tolerance.
+- Restart: new start from controls with a lower Hamiltonian.
 """
 
 from __future__ import annotations
@@ -79,31 +78,9 @@ def refine(
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    If limits become active or inactive inside an element, or if controls are damped, the objective
-    must also have settled. The docstring of this module defines these terms.
-
-    Parameters
-    ----------
-    solve : callable
-        (meshes, start, dampings, change=, iteration_limit=) -> solution. `dampings` are penalties
-        on the controls for each horizon, None without penalty. `change` is the expected change of
-        the objective.
-    meshes : tuple of Mesh
-        Initial meshes, one for each horizon.
-    tolerance : float
-        Required relative error.
-    refinement : RefinementOptions
-    start : Start
-        Guess or warm start of the first solve.
-    past_the_barrier : callable, optional
-        (dampings, solution) -> solution on the same meshes, in which Ipopt's barrier leaves a
-        smaller error of the objective.
-
-    Returns
-    -------
-    Solution or JointSolution
-        Usually the last solution. Its status is `converged`, `tolerance_not_met`, or that of a last
-        solve that failed or was interrupted.
+    If limits become active or inactive inside an element, or controls are damped, the objective
+    must also have settled. A refinement that ends earlier has `Status.TOLERANCE_NOT_MET`, or its
+    last solve's status.
     """
     # If a later simulation corrects the controls by feedback, the objective need not have settled.
     going = _Refinement(
@@ -125,12 +102,15 @@ class _Refinement(Generic[S]):
     Tuples have one item for each horizon.
     """
 
+    # (meshes, start, dampings, change=, iteration_limit=) -> solution. A damping is None without a
+    # penalty. `change` is the expected change of the objective.
     solve: Callable[..., S]
     meshes: tuple[Mesh, ...]
     tolerance: float
     options: RefinementOptions
     start: Start
-    # Argument `past_the_barrier` of the function `refine`.
+    # Argument `past_the_barrier` of the function `refine`: (dampings, solution) -> solution on the
+    # same meshes, with a smaller complementarity gap.
     sharpen: Callable[[tuple[Damping | None, ...], S], S] | None
     # Previous solutions; None before the first solve and after a restart.
     before: tuple[Solution | None, ...]
@@ -216,7 +196,7 @@ class _Refinement(Generic[S]):
     def _recorded(self, solved: S, errors: tuple[ErrorEstimate, ...], **more: Any) -> S:
         """Add a solution to the history, and pass it to the caller's callback.
 
-        The result is a copy with error and history. The items of `more` become its attributes.
+        The result is a copy with error and history, and with the attributes in `more`.
         """
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
@@ -415,7 +395,8 @@ class _Refinement(Generic[S]):
 def _firmer(firmness: float, settled: int) -> float:
     """Return the increased strength of the damping, max(firmness, min(5 firmness, most)).
 
-    `most` is 25 for 0 to 3 settled meshes, 125 for 4 to 7, and infinite for 8 or more.
+    `settled` counts the meshes on which the objective was settled. `most` is 25 up to 3 of them,
+    125 from 4 to 7, and infinite from 8.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -486,10 +467,11 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a converged solution.
 
-    The errors of all elements must be at most `fine`.
+    The result is False if the error of an element exceeds `fine`.
     """
     (part,), (error,) = solution.parts, errors
-    # `switches` and `costs` are estimated only if all other errors meet the tolerance.
+    # `switches` and `costs` are not counted: they are estimated only if all other errors meet the
+    # tolerance.
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
     is_fine = counted.per_element.max(initial=0.0) <= fine
     size = part.program.objective_size(part.unknowns) * part.scaling.objective
@@ -525,7 +507,7 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Update the bound on the improvement: shown = max(shown, gain(other) - error).
+        """Update the lower bound on the improvement: shown = max(shown, gain(other) - error).
 
         `other` is a solution since the restart, and `error` its estimated relative error.
         """
@@ -597,7 +579,8 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
     """Return whether the last two solves gained too little for the refinement to go on.
 
-    Both must have taken more than 150 iterations, and left more than half of the error.
+    Both must have taken more than 150 iterations. The last must have left more than half of the
+    error.
     """
     if len(records) < 3:
         return False

@@ -46,18 +46,18 @@ class RefinementOptions:
         Tolerances of a flight that applies the controls without feedback, for example on violations
         of limits between the collocation points.
     damping : float
-        Strength of the penalty on changes, since the previous mesh, of controls that enter
-        linearly. A change by the whole range costs `damping` * tolerance * objective.
+        Strength of the penalty on changes of controls that enter linearly. If such a control
+        changes by its whole range since the previous mesh, this costs `damping` * tolerance *
+        objective.
     limits_move : bool
-        Whether limits become active or inactive at many times. Most of these times hardly affect
-        the objective. The refinement then splits elements at these times last, and solves less
-        exactly on early meshes.
+        Whether limits are expected to become active or inactive at many times. The refinement then
+        splits elements at these times last, and solves less exactly on early meshes.
     on_mesh : callable, optional
         Called with the solution after each mesh on which Ipopt converged. If it returns False, the
         refinement ends with the status interrupted.
     known : Solution, optional
-        Converged solution for the same parameters. With a warm start, it replaces the solve on the
-        first mesh if it has the same mesh.
+        Converged solution for the same parameters. If a warm start is given and the first mesh is
+        that of `known`, then `known` replaces the solve on this mesh.
     """
 
     first_elements: int = 10
@@ -70,8 +70,9 @@ class RefinementOptions:
     max_points: int = 60_000
     allowance: Allowance = field(default_factory=Allowance)
     damping: float = 100.0
-    # Elements are split at these times only after all errors meet the tolerance. Each solve reduces
-    # the complementarity gap only to a fraction of the error on the previous mesh.
+    # Most of these times hardly affect the objective. Elements are split there only after all
+    # errors meet the tolerance. Each solve reduces the complementarity gap only to a fraction of
+    # the error on the previous mesh.
     limits_move: bool = False
     on_mesh: Callable[[Any], bool | None] | None = None
     known: Any = None
@@ -165,8 +166,7 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether controls are expected to reach their limits continuously, with a jump of the slope
-        only.
+        Whether controls are expected to have a kink where they reach a limit, and no jump.
     """
 
     coarse: frozenset[int]
@@ -184,24 +184,8 @@ def refined_mesh(
 ) -> Mesh:
     """Return the next mesh of a refinement, given a solution and its estimated errors.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution on the present mesh.
-    error : ErrorEstimate
-        Estimated errors of `solution`.
-    marks : Marks
-        Elements to refine, and elements whose degree must not be lowered.
-    tolerance : float
-        Required relative error.
-    options : RefinementOptions
-        Limits of degrees, widths and number of points of the mesh.
-
-    Returns
-    -------
-    Mesh
-        The next mesh. If it would exceed the number of collocation points that `options` allows,
-        the present mesh is returned.
+    If the next mesh would have more collocation points than `options.max_points`, the present mesh
+    is returned.
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
@@ -258,7 +242,8 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Return the elements into which an element with a jump or kink of a control is split.
 
-    See docs/theory/refinement.md, eq. (8). `jump` is its time as a fraction of the horizon.
+    `jump` is the time of the jump or kink, as a fraction of the horizon. See
+    docs/theory/refinement.md, eq. (8).
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
     # A neighbour of degree 1 is a sliver from an earlier mesh, which failed to enclose the whole
@@ -327,7 +312,7 @@ def _finer(
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
     """Split element `e` into `count` equally wide elements of the given degree.
 
-    Each part is recorded with the error `size` of the element.
+    `size` is the estimated error of the element; each part gets the same error.
     """
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
@@ -359,9 +344,9 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 
 
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
-    """Return the largest relative Legendre coefficients of the states, shape (degree + 1,).
+    """Return the largest Legendre coefficients over all states in an element, shape (degree + 1,).
 
-    They are relative to the magnitude of each state over the horizon.
+    The coefficients of a state are relative to its magnitude over the horizon.
     """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -374,9 +359,9 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 
 
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
-    """Return the largest relative Legendre coefficients of the integrands, shape (degree,).
+    """Return the largest Legendre coefficients over all integrands in an element, shape (degree,).
 
-    They are relative to the magnitude of each integrand in the element.
+    The coefficients of an integrand are relative to its magnitude in the element.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])

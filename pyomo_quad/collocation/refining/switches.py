@@ -21,20 +21,11 @@ _SAME_WIDTH = 1.0 + 1e-9
 
 
 def misplaced_switches(solution: Solution) -> FloatArray:
-    """Return bounds on the increase of the objective by misplaced control switches, by element.
+    """Return bounds on the increase of the objective by misplaced switches, shape (n_elements,).
 
-    The bound is the jump of the Hamiltonian times the width of the element. The switch may be
-    anywhere in this element. See docs/theory/refinement.md, "Cost of a misplaced switch".
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution on the present mesh, with its multipliers.
-
-    Returns
-    -------
-    ndarray, shape (n_elements,)
-        Upper bounds in the unit of the objective, zero for an element without a control switch.
+    Each bound is the jump of the Hamiltonian times the element's width, in the unit of the
+    objective. It is zero without a switch. See docs/theory/refinement.md, "Cost of a misplaced
+    switch".
     """
     # At a switch, an algebraic variable jumps, and a limit on algebraic variables alone becomes
     # active or inactive. Elements where a limit on a state or a rate does so are left out.
@@ -87,10 +78,10 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at points, with parameters at the times `fractions`, shape (2, n).
+    """Return the Hamiltonian at points, with parameters of the times `fractions`, shape (2, n).
 
-    It is per unit of the fraction of the horizon. Rows: integrated costates, and costates from the
-    multipliers.
+    The first row uses the integrated costates, the second the costates from the multipliers. Time
+    is measured as a fraction of the horizon.
     """
     program, n = solution.program, solution.program.layout.n_states
     variables = program.path_variables(solution.unknowns)[points]
