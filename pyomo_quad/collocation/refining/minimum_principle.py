@@ -56,6 +56,8 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     if hilly.size == 0:
         return None
     now = _hamiltonian(solution, variables)
+    # Where Ipopt's tolerance leaves an inequality violated, the controls stay as they are.
+    now = np.where(np.isfinite(now), now, -np.inf)
     # At each point, the one control changes whose change lowers the Hamiltonian most.
     for k in hilly:
 

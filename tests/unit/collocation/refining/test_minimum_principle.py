@@ -84,6 +84,20 @@ def test_nothing_is_better_than_an_optimum(problem):
     assert improved_controls(solution, 1e-6) is None
 
 
+def test_a_limit_broken_by_less_than_the_solver_allows_is_no_reason_to_move():
+    m = two_valleys(0.9)
+    m.cap = Constraint(m.t, rule=lambda m, t: m.u[t] ** 2 <= 0.8)
+    solution = compile(m).solve(tolerance=1e-6)
+    assert improved_controls(solution, 1e-6) is None
+    unknowns = np.array(solution.unknowns)
+    unknowns[solution.program.layout.algebraic_columns] *= 1.0 + 1e-8
+    trajectory = replace(
+        solution.trajectory, algebraics=(1.0 + 1e-8) * solution.trajectory.algebraics
+    )
+    beyond = replace(solution, unknowns=unknowns, trajectory=trajectory)
+    assert improved_controls(beyond, 1e-6) is None
+
+
 def test_a_control_that_an_equation_gives_is_not_moved():
     m = two_valleys(0.9)
     m.w = Var(m.t, bounds=(-1, 1))
