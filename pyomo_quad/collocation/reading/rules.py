@@ -121,8 +121,6 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    Only the last member of each indexed constraint or expression is checked.
-
     Raises
     ------
     TranscriptionError
@@ -131,7 +129,7 @@ def refuse_changed_members(copy: Any) -> None:
     # Equations over time are read by calling the rule again. The call would not show a change by
     # Pyomo's method `set_value`.
     for component, rule in _with_rules(copy):
-        for index in tuple(component)[-1:]:
+        for index in tuple(component):
             try:
                 stated = rule(component.parent_block(), index)
             except Exception as error:
