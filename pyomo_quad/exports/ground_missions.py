@@ -353,15 +353,15 @@ def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
             elif item.command != Command.DO_CHANGE_SPEED:
                 notes[f"command {item.command}, before any place"] += 1
             continue
-        # Successive places at most a millimetre apart are one place with the heading and radius of
-        # the first.
-        if last is not None and _apart(read.home, last, place) <= _SAME_M:
+        if last is None or _apart(read.home, last, place) > _SAME_M:
+            if last is not None:
+                yield last
+            first, last = first or place, place
+        else:
+            # Successive places at most a millimetre apart are one place with the heading and radius
+            # of the first.
             last.hold += place.hold
             last.is_opened_at |= place.is_opened_at
-            continue
-        if last is not None:
-            yield last
-        first, last = first or place, place
         if item.command == Command.LOITER_UNLIMITED:
             notes["circling without end: the flight ends there"] += 1
             break

@@ -73,9 +73,9 @@ _AT_ONCE_S = 0.05
 _KEPT = 0.8
 # Number of samples of a plan in the initial guess of another.
 _GUESSED = 200
-# Factor and number of increases of the penalty on violations before take-off, and largest violation
-# (metres, radians, ...) at which no increase is needed.
-_RAISE, _RAISES, _MET = 10.0, 3, 1e-4
+# Ratio and number of the penalties on violations that are tried before take-off, and largest
+# violation (metres, radians, ...) at which no larger penalty is needed.
+_RAISE, _PENALTIES, _MET = 10.0, 3, 1e-4
 # Time after the start of a hover at a waypoint at which plans end [s], at most half of the hover;
 # and fraction of this time for which plans must hover.
 _INTO_HOLD, _SETTLED = 1.0, 0.75
@@ -331,12 +331,12 @@ class Replanner:
         """Solve the remaining missions before take-off, as initial points of the solves in flight.
 
         `plan` is the plan made before take-off. The penalty on violations is increased until the
-        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If three increases do not
-        suffice, it keeps its former value.
+        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If none of three penalties
+        suffices, it keeps its former value.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
-            for _ in range(_RAISES):
+            for _ in range(_PENALTIES):
                 guess = rest.guess(rest.begin, plan)
                 found = self._solved(rest, rest.begin, state, self.belief, guess=guess)
                 if not found.is_converged or breach_of(found) <= _MET:
