@@ -43,8 +43,8 @@ def side_by_side(
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
-    The block yields a function that finishes all tasks and returns their results in order. After a
-    stop (`is_stopped`), each task must return at once.
+    The block receives a function that returns all results in order. A task that gives no result in
+    a copy runs again here. After a stop (`is_stopped`), it must then return at once.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -92,7 +92,7 @@ def side_by_side(
 
 
 def _have_ended(answers: Sequence[Future[Any]]) -> bool:
-    """Return whether all copies have ended their tasks, after at most a tenth of a second."""
+    """Wait at most a tenth of a second, and return whether all copies have ended their tasks."""
     return not wait(answers, _MOMENT_S).not_done
 
 
@@ -116,7 +116,7 @@ def process_pool(count: int) -> Iterator[Executor]:
     """Context manager: yield a pool of ``count`` new (spawned) processes.
 
     Each process uses one thread. All processes are killed at the end of the ``with`` block, even if
-    they are still working.
+    they are still working. The block changes environment variables (see `environment_of_workers`).
     """
     with environment_of_workers():
         pool = pool_of(count)

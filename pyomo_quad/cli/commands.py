@@ -228,6 +228,7 @@ def _flown(
             with watch.phase("solve"):
                 plan = flying.make_plan(planner, scenario)
             scenario = plan.mission_flown
+        # Model-predictive control follows no reference.
         if plant is Plant.ROTORPY and followed is not None:
             outside = scenario, controller.value, followed, plan
             make = partial(flying.fly_rotorpy, planner, *outside)

@@ -143,7 +143,8 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 def raise_on_interrupt() -> Iterator[None]:
     """Context manager: stop the ``with`` block by `KeyboardInterrupt` at the first signal.
 
-    Later signals are ignored. A process that runs only the command ends within half a second.
+    The block can then clean up. Later signals are ignored. A process that runs only the command
+    ends within half a second.
 
     Raises
     ------

@@ -71,12 +71,14 @@ def fly_declared(
 ) -> Flight:
     """Simulate a flight of the scenario's vehicle by the package's own equations of motion.
 
-    If `reference` is None, the controls of `plan` are applied without feedback.
+    If `reference` is None, the controls of `plan` are applied without feedback. Otherwise, the
+    adaptive controller follows the reference.
 
     Raises
     ------
     ScenarioError
-        For a cruise, if several speeds are given, or no tuned flight arrives within limits.
+        For a cruise, if the scenario gives several speeds, or no tuned flight arrives within the
+        limits.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
@@ -94,7 +96,7 @@ def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Fligh
     """Simulate a flight under model-predictive control.
 
     At regular intervals during the flight, the controller plans the rest of the mission again.
-    `knowledge` states which information on the wind it uses.
+    `knowledge` states which information on the wind the repeated solves use.
     """
     dynamics = vehicle_flown(planner, scenario)
     return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)

@@ -64,7 +64,10 @@ _EXIT_CODES = {
 
 
 class _CommandPlanner(Planner):
-    """Planner that shows progress, stops at signals, and raises ScenarioError for bad models."""
+    """Planner of a command, which shows progress and stops at signals such as Ctrl-C.
+
+    It raises ScenarioError if the scenario's model cannot be transcribed.
+    """
 
     def __init__(self, builder: Builder, *, is_quiet: bool, keeps_usable: bool) -> None:
         super().__init__(builder)
@@ -125,7 +128,12 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
     """Return the planner of a command, which shows progress and stops at signals such as Ctrl-C.
 
     If the user stops a solve, the planner raises `SolveStopped`. If `keeps_usable` is True, it
-    returns the best plan instead, provided that this plan is flyable.
+    returns the best plan instead if this plan is flyable.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario's model builder is not allowed or cannot be loaded.
     """
     builder = model_builder(scenario, is_code_allowed=options.allow_code)
     return _CommandPlanner(builder, is_quiet=options.is_quiet, keeps_usable=keeps_usable)
@@ -136,7 +144,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
     """Context manager: write a report folder, and keep the earlier report if the solve is stopped.
 
     It yields a temporary folder, which becomes the report folder at the end. If the user stops the
-    solve, `_kept` saves the best iterate, and the command ends.
+    solve, the command ends, after `_kept` has saved the best iterate if this is nearly feasible.
     """
     try:
         with output_folder(folder) as aside:
@@ -165,13 +173,14 @@ def _kept(plan: Plan, folder: Path) -> str:
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
     """Load a stored plan, and return it with the scenario of its continuation.
 
-    If `overrides` give no accuracy, a verified plan takes the next higher one. Other plans keep
-    theirs.
+    If `overrides` give no accuracy, a verified plan takes the next higher accuracy. Other plans
+    keep theirs.
 
     Raises
     ------
     ScenarioError
-        If an override is outside ``solver``, or no higher accuracy exists.
+        If the plan cannot be read, an override is outside ``solver``, or a verified plan has the
+        highest accuracy and `overrides` give none.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)

@@ -1,8 +1,8 @@
 """Faster start of a process that runs a single command.
 
 `own_process` limits threads and garbage collection. `import_scipy_alone` avoids slow imports.
-Together they save about a second. Call them only in a process that runs nothing but one command,
-because they change settings of the whole process.
+Together they save about a second. Both change settings of the whole process. Call `own_process`
+only in a process that runs nothing but one command. Without it, `import_scipy_alone` does nothing.
 """
 
 import gc

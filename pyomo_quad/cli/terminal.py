@@ -78,9 +78,10 @@ def claim_streams() -> bool:
 
 
 def gives_up_output(error: OSError) -> bool:
-    """Return whether an error shows that standard output is lost, as by a closed pipe.
+    """Return whether an error shows that standard output can no longer be written.
 
-    If so, the function also redirects standard output to the null device.
+    Examples are a closed pipe and a full disk. If the result is True, the function has redirected
+    standard output to the null device.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False

@@ -156,7 +156,8 @@ def solve(
 ) -> Solution | JointSolution:
     """Compile and solve a Pyomo.DAE model, and load the solution into the model.
 
-    A failed solve raises no exception: its result is loaded, too, and its status shows the failure.
+    Variables over time receive values at the members of the continuous sets. A failed solve raises
+    no exception: its result is loaded, too, and its status shows the failure.
 
     Parameters
     ----------
@@ -196,7 +197,7 @@ def solve(
         Settings of the mesh refinement.
     starts : int, default 1
         Number of initial points on the first mesh; the best optimum is kept. All but one point are
-        random between the bounds. Must be 1 for several continuous sets.
+        random between the bounds, drawn with fixed seeds. Must be 1 for several continuous sets.
     progress : callable, optional
         Called at each iteration of Ipopt with an `Iteration`; returning False stops the solve.
 

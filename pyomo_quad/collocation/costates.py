@@ -52,10 +52,11 @@ class Costates:
     stages : ndarray, shape (n_points, n_states)
         Less accurate costates there, directly from the multipliers.
     hamiltonian : ndarray, shape (n_points,)
-        H = L + p . dx/dt, with costates p and integrand L of the minimised objective per unit of
-        physical time.
+        H = L + p . dx/dt at the collocation points, with costates p, states x, and integrand L of
+        the minimised objective per unit of physical time.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate.
+        Largest magnitude of each costate over the horizon, but at least 1e-9 a / b. Here a is the
+        magnitude of the objective, and b that of the state.
     """
 
     mesh: Mesh
@@ -91,7 +92,8 @@ class Costates:
 def _roughness(degree: int) -> FloatArray:
     """Return the matrix R such that R v is the residual of a smooth fit to an element's values v.
 
-    The least-squares fit is a polynomial of degree max(d - 2, 0), with d collocation points.
+    The values belong to the left end and the d collocation points. The fit by least squares has
+    the degree max(d - 2, 0).
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -145,8 +147,7 @@ def costates_of(
     rates = program.layout.slope_matrix @ states
     spans = timeline.span_at(mesh.point_fractions)
     size = np.abs(states).max(axis=0, initial=0.0)
-    # A costate's magnitude is at least 1e-9 a / b. Here a is the magnitude of the objective, and b
-    # that of the state.
+    # The least magnitude of a costate; a state that is always 0 has the magnitude 1 here.
     least = _LEAST * objective / np.where(size > 0.0, size, 1.0)
     return Costates(
         mesh=mesh,
@@ -163,14 +164,13 @@ def _products(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gradients of a weighted sum of equations with respect to rates and to states.
 
-    The equations are the path equations, then the integrands. The gradients have shape (n_points,
-    n_states) each, `weights` (n_points, n_path_rows).
+    The sum at each collocation point contains the path equations, then the integrands. The
+    gradients have shape (n_points, n_states) each, and `weights` has shape (n_points, n_path_rows).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
         program.path_variables(z), program.data.at_points(), rows, np.arange(2 * n)
     )
-    # The columns of `weights` belong to the path equations, then to the integrands.
     products = np.einsum("kr,krc->kc", weights, slopes)
     return products[:, :n], products[:, n:]
 

@@ -43,7 +43,8 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    All limits of one Pyomo component form a family with one common slack >= 0.
+    Here `value` is that of a constraint or an unknown of the nonlinear program. All limits of one
+    Pyomo component form a family with one common slack >= 0. Each array has one entry per limit.
 
     Attributes
     ----------

@@ -251,7 +251,8 @@ class Dynamics:
         -------
         list of float
             The fraction of the horizon, then the time-dependent parameters, then the quantities of
-            `Declarations.scheduled`, for example the number of the phase.
+            `Declarations.scheduled`. For example, a number tells which branch a rule of the model
+            takes at this time.
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
@@ -845,8 +846,9 @@ def _solved_for(rows: Any, unknowns: Any) -> Any:
 class _Core:
     """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
 
-    `residual` maps (`inner`, all inputs as one column) to the residual of the nonlinear part.
-    `known` has the same arguments. It returns all unknowns, then integrand and dt/ds.
+    `inner` are the unknowns of the nonlinear part. `residual` maps (`inner`, all inputs of
+    `Dynamics._compile` as one column) to the residual of this part. `known` has the same arguments.
+    It returns all unknowns, then integrand and dt/ds.
     """
 
     inner: Any

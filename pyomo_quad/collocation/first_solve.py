@@ -47,9 +47,11 @@ class FirstSolve(Search[S], Generic[S]):
     solve : callable
         (mesh, start, options=, is_scaled=) -> solution on this one mesh.
     finish : callable
-        (solver, mesh, start) -> solution, with mesh refinement if the caller gave a tolerance.
+        (solver, mesh, start) -> solution, with mesh refinement if the caller gave a tolerance. Here
+        `solver` maps (mesh, start) to a solution on one mesh.
     judge : callable
-        Failed solution -> solution with a verdict on feasibility.
+        Failed solution -> solution with a verdict on feasibility. With one horizon, the result is
+        at the point of least constraint violation.
     mesh : Mesh, list of Mesh, or None
         Initial mesh; a list for several horizons, None without time.
     start, options : Start, SolverOptions
@@ -90,7 +92,7 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        `Fact.JUDGED` is true if the requested solve has failed and `judged` is complete.
+        `Fact.JUDGED` is true if the requested solve has failed and `judge` was not interrupted.
         `Fact.POSSIBLE` also requires that the problem was not found infeasible. Other conditions
         are false here.
         """
@@ -119,8 +121,9 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        This class ignores `first`, and starts from the caller's initial point. A subclass may
-        return None. `own` maps (mesh, start) to a solution on this one mesh.
+        This class ignores `first`, and starts from the caller's initial point. A subclass returns
+        None if the problem has no initial point of this kind. `own` maps (mesh, start) to a
+        solution on this one mesh.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -154,10 +157,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     Attributes
     ----------
     bounds_of : callable
-        Nonlinear program -> bounds, those of redundant conditions included.
+        Nonlinear program -> bounds, also those of conditions that follow from other equations.
     simulate : callable, optional
-        () -> simulated initial guess or None. The attribute is None if no simulation may be the
-        guess.
+        () -> simulated initial guess; see `Problem._simulated`. The attribute is None if the caller
+        gave a guess, a warm start, or no tolerance.
     instance : Instance
         Parameter values, horizon and fixed variables.
     progress : callable or None
@@ -227,8 +230,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without redundant conditions, which follow from other equations.
 
-        The result is None if no condition is redundant, if the solve fails, or if its solution
-        violates a redundant condition.
+        An example is an end condition on a conserved quantity. The result is None if no condition
+        is redundant, if the solve fails, or if its solution violates a redundant condition.
         """
         # Redundant conditions are detected at a point of least constraint violation near the start.
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))

@@ -423,7 +423,8 @@ class Formulation:
     ) -> Instance:
         """Collect the data of a single solve: parameter values, horizon and fixed variables.
 
-        `parameters` has new values by component or full name.
+        `parameters` has new values by component or full name. The default `horizon` is the range of
+        the continuous set.
 
         Raises
         ------

@@ -328,8 +328,8 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number`, moved inside the bounds of the unknown `column`.
 
-    A value outside becomes the middle of finite bounds, or the only finite bound. If both bounds
-    are infinite, NaN becomes inf.
+    A value that is NaN or outside becomes the middle of finite bounds, or the only finite bound.
+    If both bounds are infinite, NaN becomes inf.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:

@@ -408,12 +408,12 @@ class JointProblem(Summarised):
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
         """Split the user's guess into one per horizon, and one for all other variables.
 
-        An item with the name of a horizon replaces all other guesses for its variables.
+        An item with the name of a horizon replaces all other guesses for the horizon's variables.
 
         Raises
         ------
         TranscriptionError
-            If a name is unknown.
+            If a name is neither a horizon nor a variable.
         """
         guess = {} if guess is None else guess
         known = [known_names(part.compiled.declared) for part in self._parts]
@@ -595,10 +595,10 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables in `z` that must equal other variables of a horizon.
+        """Set the static variables in `z` that stand for values of one horizon in the coupling.
 
-        An example of such a variable is the derivative of a state at the end of the horizon.
-        `places` are the positions of the horizon's unknowns.
+        An example of such a value is the derivative of a state at the end of the horizon. `places`
+        are the positions of the horizon's unknowns in `z`.
         """
         if program.mesh is None:
             return
@@ -609,7 +609,7 @@ class JointProblem(Summarised):
                 z[union.statics[name]] += off
 
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
-        """Raise an error if the joint program is not finite at `z` or its equations contradict."""
+        """Raise an error if the program is not finite at `z`, or has contradictory equations."""
         held = set()
         for k, program in enumerate(union.programs):
             refuse_not_finite(program, z[union.places[k]])

@@ -164,8 +164,9 @@ class OpenLoopSteps:
 def _step(rates: Any) -> Any:
     """Return one step of DOP853 as a CasADi function.
 
-    Inputs: joint state, time-dependent inputs and controls at all stages, duration. Outputs: new
-    joint state, error estimates of order 5 and 3.
+    `rates` is `ClosedLoop.function`, with the controls as command. Inputs: joint state,
+    time-dependent inputs and controls at all stages (one column each), duration. Outputs: new joint
+    state, error estimates of order 5 and 3.
     """
     n_moment, n_joint, n_controls = (rates.numel_in(k) for k in range(3))
     joint, width = casadi.MX.sym("joint", n_joint), casadi.MX.sym("width")

@@ -204,7 +204,8 @@ class Problem(Summarised, Formulation):
     ) -> Solution:
         """Solve from a warm start or guess; refine the mesh if a tolerance is given.
 
-        If `starts` is above 1, the best optimum on the first mesh becomes the warm start.
+        If `starts` is above 1, the program on the first mesh is solved from several initial points.
+        The best optimum then becomes the warm start.
         """
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
@@ -282,7 +283,6 @@ class Problem(Summarised, Formulation):
         ]
         return replace(
             guessed,
-            # The states are clipped to 1e12 in magnitude.
             states=np.clip(states, -_LARGEST_STATE, _LARGEST_STATE),
             algebraics=np.column_stack([none, *algebraics]),
         )
@@ -344,14 +344,15 @@ class Problem(Summarised, Formulation):
             Whether to continue until the complementarity gap (the sum of multipliers times slacks)
             is negligible relative to the objective.
         change : float, optional
-            Expected change of the objective from its value at the warm start. Determines the
-            initial barrier parameter. Ignored if there is no warm start, or if `damping` is given.
+            Expected change of the objective from its value at the warm start, in the objective's
+            unit. It determines the initial barrier parameter. It is ignored if there is no warm
+            start, or if `damping` penalises any controls.
         iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
             Allowed violation of the variables' bounds between the collocation points, relative to
-            max(1, abs(bound)). Constraints impose it in elements where a warm start is near a
-            bound. Infinite by default: no such constraints.
+            max(1, abs(bound)). In elements where a warm start is near a bound, additional
+            constraints impose this limit. Infinite by default: no such constraints.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 

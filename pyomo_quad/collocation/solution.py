@@ -146,12 +146,12 @@ class Outcome(Summarised):
         `collocation.refining.error.ErrorEstimate`.
     state_error : float
         Estimated distance of the states from the optimal states, relative to their magnitudes;
-        infinite if not estimated.
+        infinite if not estimated. See `collocation.refining.minimum_principle.state_error`.
     history : tuple of MeshRecord
         One record per mesh; empty without refinement.
     cold_start : ColdStart or None
-        Iterations of a solve from a guess. A solve from a warm start takes them from the warm
-        start.
+        Numbers of iterations of the solve from a guess. A solve from a warm start copies them from
+        the warm start.
     tried : tuple of str
         Name and status of each solution strategy, if more than one was tried on a mesh.
     """
@@ -223,8 +223,8 @@ class Solution(Outcome):
     scaling : Scaling
         Scaling factors of the program.
     restraint : Restraint or None
-        Increase of the objective by bounds that are imposed between the collocation points; None if
-        bounds are imposed at the points only.
+        Estimated increase of the objective, by element, by bounds that are imposed between the
+        collocation points; None if bounds are imposed at the points only.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """
@@ -319,7 +319,7 @@ class Solution(Outcome):
         """Mesh of the solution, with element boundaries as fractions of the physical duration.
 
         The boundaries differ from those of `mesh` if the solve determines times inside the horizon.
-        Values at the nodes belong to both meshes.
+        Values at the nodes of `mesh` are also the values at the nodes of this mesh.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
@@ -516,7 +516,7 @@ class Solution(Outcome):
         Errors are relative to the largest magnitude of the costate.
         """
         # A costate may jump where a limit on a state becomes active or inactive.
-        # The error is then as large as the jump. It is at least the error of the states.
+        # The error is then as large as the jump. No error is below `state_error`.
         own = costate_errors_of(
             self.program,
             self.unknowns,

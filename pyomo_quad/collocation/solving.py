@@ -114,11 +114,12 @@ def within_budget(
 ) -> S:
     """Solve from a warm start; if its budget is used up, solve from the guess.
 
-    There is a budget only if `is_known`, and if `tolerance` is that of the earlier solve. If the
-    solve from the guess fails, the warm start continues without a budget.
+    There is a budget only if `is_known`, and if `start` records a solve from the guess with the
+    same `tolerance`. If the new solve from the guess fails, the warm start continues without a
+    budget.
     """
-    # `is_known` is False for several initial points, which take more iterations than the recorded
-    # one.
+    # Several initial points take more iterations than the recorded solve from one point. `is_known`
+    # is then False.
     demand, known = tolerance or 0.0, start.cold_start if is_known else None
     # A warm start is useful only if it is faster than a solve from the guess (cold start). The
     # iterations of the cold start are therefore its budget.

@@ -289,9 +289,10 @@ class Start:
     Attributes
     ----------
     warm : WarmStart or tuple of WarmStart, optional
-        For several horizons, one per horizon and one for the coupling constraints.
+        Warm start. For several horizons, one per horizon and one for the coupling constraints.
     guess : mapping, Trajectory or list, optional
-        For several horizons, one per horizon and one for all other variables.
+        Initial guess, by default the values of the model. For several horizons, one per horizon and
+        one for all other variables.
     seed : int
         Seed of a random initial point; 0 for none.
     is_elastic : bool
@@ -300,7 +301,7 @@ class Start:
 
     warm: Any = None
     guess: Any = None
-    # The point lies between the bounds of the variables.
+    # The random point lies between the bounds of the variables.
     seed: int = 0
     # In the elastic program, equations over time may be violated at a penalty.
     is_elastic: bool = False

@@ -3,7 +3,7 @@
 A closed loop is a vehicle with the control law that steers it. All vehicles have the same control
 law. Each step uses the classical Runge-Kutta method of order 4; see docs/theory/flights.md, eq.
 (1). The parameters that differ between vehicles may change from step to step, and may thus
-represent noise.
+represent noise that is constant during a step.
 """
 
 from __future__ import annotations
@@ -143,8 +143,8 @@ class SteppedLoops:
     ) -> list[FloatArray]:
         """Return the inputs of one Runge-Kutta step that are the same for all vehicles.
 
-        They are the length of the step [s], three sets of time-dependent inputs, and three
-        commands. The three are for the start, the middle and the end of the step.
+        They are the length of the step [s], time-dependent inputs, and commands. Inputs and
+        commands are those at the start, the middle and the end.
         """
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.

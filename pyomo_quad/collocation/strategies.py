@@ -255,8 +255,8 @@ def first_success(scope: Scope, search: Search[S]) -> S:
     """Try the solution strategies of the table `STRATEGIES` in order, until a result is final.
 
     Only strategies of the given scope whose conditions are all true are tried. If no result is
-    final, `Search.failure` gives the result. The result's attribute `tried` records several
-    attempts.
+    final, `Search.failure` chooses one. The attribute `tried` of the result lists several attempts
+    with their statuses.
     """
     tried: list[str] = []
     last: Any = None

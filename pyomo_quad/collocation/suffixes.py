@@ -131,8 +131,8 @@ def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared
     sign = -1.0 if program.is_negated else 1.0
-    # The derivative is with respect to the constant side of a constraint.
     dual, reduced = Sensitivities(), Sensitivities()
+    # The derivative with respect to the constant side of a constraint is its negative multiplier.
     rows = -sign * multipliers.rows
     if program.mesh is not None:
         over_time = rows[: program.first_condition_row].reshape(program.n_points, -1)
@@ -151,8 +151,9 @@ def _widths(solution: Solution) -> FloatArray:
     A multiplier divided by this duration is per unit of time.
     """
     mesh = solution.mesh
-    # The derivative is the length of the horizon. If the solve determines times inside the horizon,
-    # each phase between them has its own derivative.
+    # `span_at` is the derivative of physical time with respect to the fraction of the horizon: the
+    # length of the horizon. If the solve determines times inside the horizon, each phase between
+    # them has its own derivative.
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
 
 

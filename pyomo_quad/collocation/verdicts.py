@@ -202,7 +202,7 @@ def doubted(solution: S) -> S:
     """Return a solution whose status and message record doubts about its optimality or validity.
 
     The doubts are a missing objective, a table evaluated outside its data, and diverging
-    multipliers. The last count only if a Hamiltonian varies that should be constant.
+    multipliers. Diverging multipliers count only if a Hamiltonian varies that should be constant.
     """
     return _within_tables(_undoubted(_without_objective(solution)))
 

@@ -58,8 +58,9 @@ _WORLD, _BODY = "map", "base_link"
 def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     """Make the stream of setpoints for PX4's offboard mode: one MAVLink message per row.
 
-    Axes are north, east, down; yaw is clockwise from north. Units are SI; the time is in ms. A
-    missing state or a violated limit of PX4 raises a ScenarioError.
+    Columns are the fields of SET_POSITION_TARGET_LOCAL_NED. Axes are north, east, down; yaw is
+    clockwise from north. Units are SI; the time is in ms. A missing state or a violated limit of
+    PX4 raises a ScenarioError.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "PX4's offboard mode")
     if not SLOWEST_STREAM_HZ < rate_hz <= FASTEST_STREAM_HZ:
@@ -74,7 +75,8 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
         )
     milliseconds = np.unique(np.round(motion.samples(rate_hz) * _MS_PER_S).astype(np.int64))
     t = milliseconds / _MS_PER_S
-    # Fields of the message SET_POSITION_TARGET_LOCAL_NED.
+    # In the plan, x is east, y is north, and yaw is counter-clockwise from east. The message has
+    # numbers of 32 bits.
     columns: dict[str, object] = {
         "time_boot_ms": milliseconds,
         "coordinate_frame": _LOCAL_NED,
@@ -177,7 +179,7 @@ def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatAr
     """Return the largest distance [m] between a plan and a cubic spline through setpoints.
 
     The spline has the positions [m] and velocities [m/s] of the setpoints, shape (n, 3), at times
-    t.
+    t [s].
     """
     # The distance is computed at the setpoints and halfway between them.
     between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))

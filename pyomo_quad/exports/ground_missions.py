@@ -132,6 +132,8 @@ def read_mission(
     The flight begins with hovering at the altitude of the take-off, and ends with hovering above
     the landing place. Its duration is free. The scenario has flat ground, no wind (`calm`) and the
     power model `momentum`. Altitudes above the terrain count as heights above the home position.
+    Exclusion fences become keep-out zones without bottom and top. An inclusion circle becomes an
+    inscribed polygon.
 
     Parameters
     ----------
@@ -142,19 +144,19 @@ def read_mission(
     vehicle : str, optional
         A vehicle of the library, or a vehicle file.
     payload_kg : float, optional
-        Mass of a payload [kg]. The vehicle releases it where the mission first opens a gripper or
-        places a payload.
+        Mass of a payload [kg]. The vehicle releases the whole payload where the mission first opens
+        a gripper or places a payload.
 
     Returns
     -------
     ImportedMission
-        The scenario, its text, and the contents of the file that it cannot represent.
+        The scenario, its text, and the contents of the file that a scenario cannot represent.
 
     Raises
     ------
     ScenarioError
-        If the file is no mission with at least two places. The error is also raised if the file has
-        several inclusion fences, a repetition (`DO_JUMP`) or an invalid value.
+        If the file is no mission with at least two places, or the resulting scenario is invalid.
+        Also if the file has several inclusion fences, a repetition (`DO_JUMP`) or an invalid value.
 
     Examples
     --------
@@ -182,7 +184,6 @@ def read_mission(
         "mission": _mission(read, places, notes),
         "airspace": _airspace(read, printable(str(path))),
     }
-    # Exclusion fences are keep-out zones without bottom and top, an inclusion circle a polygon.
     scenario = scenario_from_mapping(tables, printable(str(path)))
     said = tuple(note if n == 1 else f"{note} ({n} times)" for note, n in notes.items())
     return ImportedMission(scenario=scenario, text=_toml(tables, said), left_out=said)
@@ -395,8 +396,8 @@ def _place_of(
         longitude = read.home.longitude if near is None else near["longitude"]
     latitude, longitude = _on_globe([latitude, longitude], item.where)
     height = _height(item, read.home, notes)
-    # A landing leads to a place above the landing point, at the height of the first place.
-    # The flight of a scenario ends in hover.
+    # The flight of a scenario ends in hover. A landing therefore leads to a place above the landing
+    # point, at the height of the first place.
     if item.command in _LANDINGS and first is not None:
         height = first.position["height"]
     if item.command in _CIRCLED:

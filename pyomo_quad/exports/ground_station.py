@@ -1,7 +1,8 @@
 """Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
 Waypoints are added to those of the scenario so that straight legs follow the curved path of the
-plan. QGroundControl's file marks the added waypoints; `exports.ground_missions` leaves them out.
+plan. QGroundControl's file marks the added waypoints. `exports.ground_missions` leaves them out
+when it converts the file back to a scenario.
 
 Formats: QGroundControl's plan file (developer guide, Plan File Format: version 1, missions and
 fences version 2), and MAVLink's text format QGC WPL 110 of Mission Planner.
@@ -154,8 +155,9 @@ def mission(
 ) -> dict[str, Any]:
     """Convert a plan to the content of a QGroundControl plan file, as nested mappings.
 
-    `origin` becomes the home position; heights are relative to it. If there are more mission items
-    than PX4 can store, a ScenarioError is raised, which names `path_error_m`.
+    `legs` come from `thin`. `origin` becomes the home position; heights are relative to its
+    altitude. If there are more mission items than PX4 can store, a ScenarioError is raised, which
+    names `path_error_m`.
     """
     items = _items(legs, origin, _releases(legs, motion.mission))
     if len(items) > MOST_ITEMS:

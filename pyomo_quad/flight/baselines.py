@@ -99,7 +99,8 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states that the mission defines: state name -> value.
 
     In hover, velocity, body rates, roll and pitch are zero; the yaw is the heading at the start.
-    Battery states are included. Other states of a user's own model are left out.
+    Battery states are included if the model has them. Other states of a user's own model are left
+    out.
     """
     known = _hovering(scenario, scenario.mission.start, dynamics)
     if CHARGE_STATE in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
@@ -362,7 +363,8 @@ def fly_baseline(
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
     The flight is verified if two integrators agree and the battery can supply the power. With a
-    plan, it starts in the plan's initial state. For errors, see `fly` and `reference_path`.
+    plan, it starts in the plan's initial state. For errors, see `fly`, `reference_path` and
+    `refuse_other_vehicles`.
     """
     began = perf_counter()
     first = fly_reference(scenario, reference, dynamics=dynamics, plan=plan)
@@ -398,9 +400,9 @@ def fly_reference(
 ) -> ClosedLoopFlight:
     """Simulate a mission once under the adaptive controller along a reference.
 
-    Unlike `fly_baseline`, this function neither verifies nor tabulates the flight. The `rate_hz`
-    samples per second always include first and last time. With a plan, the flight starts in the
-    plan's initial state.
+    Unlike `fly_baseline`, this function neither verifies nor tabulates the flight. Initial state
+    and errors are as for `fly_baseline`. `rate_hz` is the number of samples per second; the
+    first and the last time are always included.
     """
     refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.fixed_duration
@@ -461,8 +463,9 @@ def assembled_flight(
 ) -> Flight:
     """Join the simulated parts of a flight, verify them, and estimate the energy still needed.
 
-    `flown_twice` has each part, simulated by two integrators. The energy from the final state to
-    hover at the goal is NaN without a plan or with a wind forecast.
+    `flown_twice` has each part, simulated by two integrators. `began` is `time.perf_counter` at the
+    start. The energy from the final state to hover at the goal is NaN without a plan or with a wind
+    forecast.
     """
     # There are several parts if the plan is replaced in flight.
     flown = _joined([part for part, _ in flown_twice])

@@ -47,11 +47,11 @@ class LimitDistance:
     Attributes
     ----------
     name : str
-        Path constraint of the model.
+        Name of the path constraint.
     field : str
-        Scenario field, such as "limits.roll_max".
+        Scenario field that sets the bound, such as "limits.roll_max".
     distance, planned : ndarray, shape (n,)
-        Distance of the flight without gusts, and of the plan.
+        Distance of the mean flight (without gusts), and of the plan, at n times.
     deviation : ndarray, shape (n,)
         Standard deviation over the flights.
     correlation : ndarray, shape (n - 1,)
@@ -78,8 +78,9 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        Where the present plan is close to its margin `present`, the new plan has the distance
-        `changed`. Elsewhere, its distance is at least `changed`. Units are those of the limit.
+        Wherever the present plan is close to its margin `present` or below it, the new plan has the
+        distance `changed`. Elsewhere, it keeps its distance if that is larger. Units are those of
+        the limit.
         """
         # Close means within a quarter of the margin or of the largest deviation, whichever is
         # larger.
@@ -200,7 +201,8 @@ class Miss:
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Scenario field that is tightened so that fewer flights break the limit; may be empty.
+        Scenario field that is tightened so that fewer flights break the limit; empty if none can
+        be.
     off : ndarray, shape (n_instants, n_samples)
         Samples at each instant at which the limit applies.
     within : float
@@ -208,8 +210,8 @@ class Miss:
     """
 
     words: str
-    # Every plan reaches the goal exactly. Only a larger reserve of thrust for the controller helps
-    # there.
+    # It is empty at the goal, which every plan reaches exactly. Only a larger reserve of thrust for
+    # the controller helps there.
     field: str
     off: FloatArray
     within: float

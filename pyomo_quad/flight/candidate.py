@@ -77,6 +77,7 @@ class Candidate:
     Attributes
     ----------
     scenario : Scenario
+        The scenario to plan.
     mission : MissionProblem
         Compiled problem of the scenario in its forecast wind.
     search : Search
@@ -86,6 +87,7 @@ class Candidate:
     solution : Solution or None
         Present solution, converged or not; None before the first solve.
     routes : tuple of TriedRoute
+        Result for each route that was tried.
     is_closed : bool
         Whether keep-out zones block every route.
     diagnosis : Diagnosis or None
@@ -226,15 +228,14 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If braking rotors return no energy, a result that is not converged is discarded. Any other
-        result becomes `solution`, even if it failed. After a failure, the solver's status is
+        If braking rotors return no energy, a result with the status not converged is discarded. Any
+        other result becomes `solution`, even if it failed. After a failure, the solver's status is
         returned.
         """
         # The first mesh is that of the warm start, or the mission's own if the start is discarded.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
-        # Without regeneration, the power has a kink at zero, which makes the problem hard to solve
-        # directly. Other strategies are better suited.
-        # Regeneration means that braking rotors return energy.
+        # Without regeneration (braking rotors return no energy), the power has a kink at zero. The
+        # problem is then hard to solve directly, and other strategies are better suited.
         if self.mission.easier and solution.status is Status.NOT_CONVERGED:
             return solution.status.value
         self.solution = solution
@@ -335,7 +336,8 @@ class Candidate:
         """Solve the failed mission again, starting from the solution of an easier mission.
 
         The waypoints of the easier mission have no radius and no speed limit. A new solution is
-        kept if its solve succeeds. Without a solution of the easier mission, None is returned.
+        kept if its solve succeeds. The result is the solver's status, or None without a solution of
+        the easier mission.
         """
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()
@@ -347,7 +349,8 @@ class Candidate:
         """Diagnose the failed solve by an elastic problem, and solve the mission again.
 
         The elastic problem minimises the violation of the limits. If no violation is left, its
-        solution is the initial guess. Otherwise, the result is None. The method sets `diagnosis`.
+        solution is the initial guess, and the solver's status is returned. Otherwise, the result is
+        None. The method sets `diagnosis`.
         """
         self.diagnosis = diagnose(self.found, progress=self.search)
         feasible = self.diagnosis.feasible_point
@@ -445,8 +448,9 @@ class Candidate:
             remedies=self._remedies(self.diagnosis) if is_infeasible and not doubt else (),
             doubt=doubt,
         )
-        # Infeasible: the allowed duration is below the least one, or the elastic problem still
-        # violates a limit and no flight of allowed duration is known.
+        # Without a doubt, the mission is infeasible if its allowed duration is below the least one.
+        # It is also infeasible if the elastic problem still violates a limit, and no flight of
+        # allowed duration is known.
         is_proven = self.failure.is_too_short or (is_infeasible and not self.has_shorter())
         status = Status.INFEASIBLE if is_proven and not doubt else Status.NOT_CONVERGED
         self.solution = replace(self.found, status=status)
@@ -537,9 +541,9 @@ class Candidate:
             self.search.keep(plan)
             if plan.is_verified or solves == _MOST_STRICTER:
                 break
-            # Stricter limits cannot reduce the energy of a global optimum: `relaxed` is only a
-            # local one. The search then continues from the plan's solution.
-            # A better plan ends the repetition.
+            # Stricter limits cannot reduce the energy of a global optimum. If they do, `relaxed` is
+            # only a local one. The repetition then ends, and the search continues from the plan's
+            # solution.
             if plan.solution is not None and self._is_better(plan, relaxed):
                 self.solution, self._known = plan.solution, None
                 break
@@ -619,8 +623,8 @@ class Candidate:
         """Plan the mission again with an upper limit on the power that the battery supplies.
 
         The limit is `GIVEN_SHARE` times the battery's greatest power. `carry_out` applies the
-        planning strategies to a candidate. The new plan, whose status is returned, is kept if it is
-        verified.
+        planning strategies to a candidate. The new plan is kept if it is verified. The result is
+        the solver's status for it.
         """
         limits = self.scenario.limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
         within = self.mission.told.model_copy(update={"limits": limits})

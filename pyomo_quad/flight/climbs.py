@@ -1,8 +1,8 @@
 """Routes raised over terrain, with climbs and descents on legs that are too low.
 
 A leg is the line between two corners of a route. The floor is the least height above the ground
-that the mission allows. A leg below the floor is replaced by a climb, a level part and a descent.
-The level part has the greatest height that the floor requires along the leg.
+that the mission allows. A leg that is below the floor anywhere is replaced by a climb, a level part
+and a descent. The level part has the greatest height that the floor requires along the leg.
 """
 
 from itertools import pairwise

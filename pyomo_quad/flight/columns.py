@@ -45,9 +45,9 @@ class Column:
     name : str
         Heading of the column.
     component : str
-        Full name of the component.
+        Full name of the component of the Pyomo model.
     index : int or None
-        Index such as the number of a rotor.
+        Index other than time, such as the number of a rotor; None if there is none.
     words, symbol, unit : str
         Printed name, symbol (LaTeX) and unit.
     scale : float

@@ -487,8 +487,9 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    If set, it is `baseline.gains.tilt_max`. Otherwise, it is the tilt, at least 0.1 rad, at which
-    the largest commanded thrust carries the weight. The limits on roll and pitch always apply.
+    It is `baseline.gains.tilt_max` if that is set. Otherwise, it is the tilt at which the largest
+    commanded thrust just carries the weight, but at least 0.1 rad. The limits on roll and pitch
+    always apply.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -607,12 +608,12 @@ class AdaptiveController:
     Parameters
     ----------
     believed : Scenario
-        Vehicle, limits, gravity and gains, but not the wind.
+        Scenario whose vehicle, limits, gravity and gains are used, but not its wind.
     mixer : ndarray, shape (4, n_rotors)
         Result of `mixer_matrix`.
     learnt : sequence of three floats, optional
-        Initial estimate of the acceleration by the air [m/s^2]; ignored without
-        `baseline.adaptation`.
+        Initial estimate of the acceleration by the air [m/s^2]; ignored if `baseline.adaptation` is
+        false.
     """
 
     def __init__(

@@ -117,6 +117,7 @@ class LineCosts:
     told : Scenario
         The mission in its forecast wind.
     wind : WindMap
+        Wind at any place and time.
     power : callable
         Airspeeds [m/s] -> power of level flight [W].
     ends : ndarray, shape (2, 3)
@@ -215,8 +216,9 @@ def corridor_journeys(
 ) -> tuple[Journey, ...]:
     """Return journeys along cheap routes through a wind field, and the shortest journey.
 
-    Up to four journeys are in the order of increasing energy. The last is `shortest`, found
-    regardless of the wind. A journey has one route for each leg, with its energy.
+    Up to four journeys through corridors come first, in order of increasing energy. The last is
+    `shortest`, found regardless of the wind. A journey has one route for each leg, with its energy
+    if that is known.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])

@@ -56,6 +56,7 @@ class Spread:
     states, controls : ndarray, shapes (n, n_states), (n, n_controls)
         The flight without gusts (the mean).
     covariance : ndarray, shape (n, n_states, n_states)
+        Covariance of the states at each time.
     onward : ndarray, shape (n - 1, n_states, n_states)
         Covariance between one time (rows) and the next (columns).
     dynamics : Dynamics
@@ -83,8 +84,9 @@ class Spread:
 def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     """Compute the distribution of flights in turbulence that follow a plan under feedback.
 
-    `scenario` states the turbulence, and standard deviations of wind forecast, mass and power. The
-    times are equally spaced, at most `NOISE_STEP` [s] apart. The noise is constant between them.
+    `scenario` states the turbulence, and the standard deviations of the errors of wind forecast,
+    mass and power. The times are equally spaced, at most `NOISE_STEP` [s] apart. The noise is
+    constant between them.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -117,8 +119,8 @@ def propagated(
     """Propagate the covariance of the states of a linear system over n steps.
 
     `noise` has the input matrices of random numbers drawn anew in each step, `constants` of those
-    drawn once. The second result has the covariances between states before (rows) and after
-    (columns) steps.
+    drawn once. The results are the n + 1 covariances, and those between states before (rows) and
+    after (columns) each step.
     """
     # The random numbers are independent, with unit variance. `transitions` has the shape
     # (n, n_x, n_x), and `noise` (n, n_x, n_noise).

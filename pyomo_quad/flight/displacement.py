@@ -96,7 +96,8 @@ def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) 
     Each time span inside a zone gets one push, the shortest way out and somewhat beyond. All limits
     of the airspace count as zones. `flown` must be dense near them.
     """
-    # See docs/theory/tracking.md, eq. (8). Another limit is the least height above the ground.
+    # See docs/theory/tracking.md, eq. (8). Limits of the airspace are keep-out zones and, for
+    # example, the least height above the ground.
     found: list[Push] = []
     for name, depth in _depths(limits).items():
         for first, after in spans_where(depth > 0.0):

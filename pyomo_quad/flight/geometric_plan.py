@@ -92,8 +92,9 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 def smooth_flight(mission: MissionProblem, journey: Journey) -> dict[str, Any] | None:
     """Return a flight along a journey with smooth corners, as an initial guess of a solve.
 
-    The keys are "time" (fractions of the horizon), "duration" [s] and names of states. None if no
-    steady flight has an allowed duration. See docs/theory/geometric_plan.md, eqs. (5) and (6).
+    The keys are "time" (fractions of the horizon), "duration" [s] and names of states. None if the
+    vehicle has no steady flight, or the path no allowed duration. See
+    docs/theory/geometric_plan.md, eqs. (5) and (6).
     """
     told = mission.told
     try:
@@ -195,8 +196,8 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
     """Return a plan that follows a path exactly, and the solution with which to verify it.
 
-    The solution is not optimised. The verification takes only the equations and the required final
-    states from it.
+    The solution is not optimised. The verification takes from it the equations, the required final
+    states and the status.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -238,8 +239,8 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
     """Return the energy of steady flight along a journey [J], an estimate of the least energy.
 
-    Implements docs/theory/geometric_plan.md, eq. (7). Raises a SolveError if the vehicle has no
-    steady flight at the speed.
+    If the duration is free, the speed is `fastest` [m/s]. Implements docs/theory/geometric_plan.md,
+    eq. (7). Raises a SolveError if there is no steady flight.
     """
     steady, told = mission.steady, mission.told.mission
     steps = [step for route in journey for step in np.diff(route.places, axis=0)]

@@ -38,8 +38,8 @@ def integrate(
     """Integrate differential equations; return the states at `times`, shape (n_states, n_times).
 
     `rates` takes time [s] and states. The integration restarts at `edges`, the times at which the
-    rates jump. If it stops early, a SolveError is raised; its message begins with `flight` and ends
-    with `remedy`.
+    rates jump. `options` are those of `solve_ivp`. If the integration stops early, a SolveError is
+    raised; its message begins with `flight` and ends with `remedy`.
     """
     wanted = np.asarray(times, dtype=float)
     inner = [edge for edge in edges if span[0] + _SHORTEST < edge < span[1] - _SHORTEST]

@@ -47,9 +47,9 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration in which a mission is possible.
 
-    The objective of the result is this duration [s]. Unless `is_exact`, it is accurate only near
-    the mission's duration. None if the solve fails or is stopped. Raises a ScenarioError like
-    `declared_free_times`.
+    It is the objective of the result [s], and replaces that of `model`. Unless `is_exact`, it meets
+    the tolerance only if it is close to the mission's duration. None if the first solve fails or is
+    stopped. Raises the ScenarioError of `declared_free_times`.
     """
     duration, settings = scenario.nominal_duration, scenario.solver
     bounds = _RANGE[0] * duration, _RANGE[1] * duration
@@ -116,7 +116,7 @@ class Approach:
     search : Search
         Progress callback, which stops expensive solves.
     plans : list of Plan
-        Plans of least energy so far, in order of decreasing duration.
+        Plans made so far, in order of decreasing duration, each of least energy for its duration.
     """
 
     scenario: Scenario

@@ -166,7 +166,7 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight breaks a limit at a place of the mission that has no margin.
+        """Probability that a flight breaks a limit without margin at the goal or at a waypoint.
 
         It is the sum over these limits. An example is the limit on the distance from the goal.
         """

@@ -77,14 +77,14 @@ class RiskTaken:
     asked : float
         Allowed risk.
     predicted : float
-        Risk by a linear model; 1 if the search ended before any test flight.
+        Risk predicted by a linear model; 1 if the search ended before any test flight.
     failed, flown : int
         Number of test flights that broke a limit, and number of all test flights. The margins were
         found without these flights.
     is_satisfied : bool
         Whether the fraction of failed test flights is at most the allowed risk.
     margins : mapping
-        Scenario field -> amount by which its limit was tightened.
+        Scenario field -> amount by which its limit was tightened, in the unit of the field.
     paper_energy_J : float
         Energy of the plan without margins [J].
     limiting : tuple of str
@@ -238,8 +238,8 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that leaves room for the mission.
 
-    For rotor speed and thrust, it is 80 % of the difference between the limit and the value in
-    hover. For other fields of `limits`, it is 80 % of the limit.
+    For rotor speed and thrust, it is 0.8 (limit - value in hover / (1 - `limits.reserve`)). For
+    other fields of `limits`, it is 80 % of the limit. In the airspace, 1 cm of room is left.
     """
     # With a larger margin, start, goal or a waypoint would lie outside the tightened limit, or the
     # vehicle could hardly hover. Even with a smaller margin, the mission may be infeasible.

@@ -207,8 +207,8 @@ class MissionProblem:
     ) -> tuple[Solution, Solution | None]:
         """Solve the mission by continuation: with easier parameter values first, then with its own.
 
-        The result is the last solution, and the easiest converged one or None. A known solution
-        `reached` replaces `guess` and `mesh` as the initial point.
+        The result is the last solution, and the first converged one with easier values or None. A
+        known solution `reached` replaces `guess` and `mesh`, and counts as the first.
         """
         first = reached
         for numbers in easier:
@@ -236,8 +236,8 @@ class MissionProblem:
     def unsolved(self, **chosen: Any) -> Solution:
         """Return the initial point of a solve as a solution that is not converged.
 
-        It is the result if a mission is not solved, or if its solve is interrupted. ``chosen`` has
-        arguments of the solve that replace those of the property `arguments`.
+        It stands for a mission that is not solved, or whose solve is interrupted. The keywords
+        ``chosen`` replace entries of `arguments`.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)

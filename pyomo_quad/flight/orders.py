@@ -42,8 +42,8 @@ class OrderSearch:
     order : tuple of int
         Indices of the waypoints, in the order of the plan.
     cost_J : float
-        Sum of the costs of its legs [J], flights from hover to hover. The cost is energy + price of
-        time [W] x duration.
+        Cost of this order [J], the sum of the costs of its legs (flights from hover to hover). The
+        cost of a leg is energy + price of time [W] x duration.
     bound_J : float
         Lower bound on the cost of every order [J], with optimistic costs of unsolved legs.
     solved, legs : int
@@ -240,8 +240,9 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of the places between start and goal.
 
-    It is the larger of two bounds, by assignment and by spanning trees [1]_. It does not exceed
-    `reached`, the cost of a known order. See docs/theory/orders.md, eqs. (2) to (5).
+    There must be at least one place. The bound is the larger of two, by assignment and by spanning
+    trees [1]_. It does not exceed `reached`, the cost of a known order. See docs/theory/orders.md,
+    eqs. (2) to (5).
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).

@@ -367,11 +367,11 @@ class OutsidePlant:
         """Simulate RotorPy's vehicle under a control law; return samples with the declared states.
 
         The law is smooth between the times `borders` [s], from start to end. `start` has the
-        initial declared states, `own` the initial own states of the law. Raises a SolveError if the
-        simulation fails.
+        initial declared states, `own` the initial own states of the law. `integrator` is a method
+        of `solve_ivp`, `tolerance` relative. Raises a SolveError if the simulation fails.
         """
         rate = self.habits.command_rate_hz
-        # Between commands at a constant rate, the law is smooth.
+        # If commands come at a constant rate, the law is smooth between two commands.
         if rate is not None:
             borders = even_times(borders[0], borders[-1], rate).tolist()
         joint = self.started(start, own)
@@ -500,7 +500,8 @@ def fly_outside(
     """Simulate a mission with RotorPy's vehicle, and verify the flight by a second integrator.
 
     The flight begins in the initial state of `plan`, if one is given. If the integrators disagree,
-    `Flight.is_verified` is False. Raises a ScenarioError if a required plan is missing.
+    `Flight.is_verified` is False. Raises a ScenarioError if a required plan is missing, and a
+    SolveError if the simulation fails.
     """
     scenario = plant.scenario
     own: Sequence[float] = ()
@@ -529,7 +530,7 @@ def fly_under(
 
     The flight begins in the initial state of `plan`, by default in hover at the start. `borders`,
     only for a law without feedback, and `own` are those of `OutsidePlant.fly`. If the integrators
-    disagree, `Flight.is_verified` is False.
+    disagree, `Flight.is_verified` is False. Raises a SolveError if the simulation fails.
     """
     began = perf_counter()
     scenario, dynamics, habits = plant.scenario, plant.dynamics, plant.habits

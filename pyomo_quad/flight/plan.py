@@ -176,17 +176,17 @@ class PlanStatus(StrEnum):
     VERIFIED
         The simulated flight and the error estimate confirm the plan to the requested accuracy.
     USABLE
-        The simulated flight confirms the plan to the wide tolerances `scenario.accuracy.USABLE`;
-        for example, it may end half a metre from the goal. Less energy may be possible, see
-        `Plan.energy_uncertainty`.
+        The simulated flight confirms the plan to the wide tolerances `scenario.accuracy.USABLE`.
+        For example, the flight may end half a metre from the goal. Another flight may need less
+        energy, see `Plan.energy_uncertainty`.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED
         The solve did not converge.
     INFEASIBLE
         The solve found that no flight keeps all limits, or keep-out zones block every route. If
-        there are several routes, this holds for the solve along each route tried, if only on a
-        coarse mesh.
+        there are several routes, the solve along each route tried found this, at least on a coarse
+        mesh.
     INTERRUPTED
         The solve was stopped.
     """
@@ -428,8 +428,9 @@ class Plan(Summarised):
         simulated.
     error_estimate : float
         Estimate of the largest relative error of any state in any element of the mesh. If the
-        verification corrected the controls, it is at least abs(E - E_least) / E_least. Here E is
-        the energy of the plan, and E_least the estimated least energy of the mission.
+        verification corrected the controls, `error_estimate` is the larger of this estimate and
+        abs(E - E_least) / E_least. Here E is the energy of the plan, and E_least the estimated
+        least energy of the mission.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration

@@ -76,9 +76,10 @@ class Planner(Problems):
         Returns
         -------
         Plan
-            The plan with its status. If the solve fails, is stopped or exceeds its time limit, it
-            is the best usable plan: a plan that simulation confirms at lower accuracy than
-            requested. If there is none, the plan has a failed status.
+            The plan with its status. If the solve fails, is stopped or exceeds its time limit, no
+            exception is raised. The result is then the best usable plan: a plan that simulation
+            confirms at lower accuracy than requested. If there is none, the result has a failed
+            status.
 
             The time limit is `solver.time_limit` of the scenario, in processor time including
             verification. The result depends on the speed of the machine only if this limit is

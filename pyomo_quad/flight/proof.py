@@ -105,9 +105,9 @@ def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowe
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
-    """Raise a ScenarioError if a simulated flight fails on energy, waypoints or battery power.
+    """Raise a ScenarioError if a simulated flight fails on energy, waypoints or battery.
 
-    `energy` is the energy that the plan states [J].
+    `energy` is the energy that the plan states [J]. The battery must give the power and voltage.
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)

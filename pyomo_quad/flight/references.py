@@ -40,8 +40,8 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    Only a plan as reference path includes the acceleration by the air and the attitude. Then
-    `acceleration` excludes the acceleration by the air, and `tilting` is given.
+    If the reference path is a plan, `acceleration` excludes the part that the air is expected to
+    cause, and `tilting` is given. Other reference paths ignore the air and the attitude.
     """
 
     place: Sequence[float]
@@ -153,7 +153,8 @@ class WaypointPath:
 class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    It jumps to the next place at the end of the hover at a waypoint, or at its passing time.
+    It begins at the first waypoint. It leaves a waypoint at its passing time plus the duration of
+    its hover.
     """
 
     def __init__(self, mission: Mission) -> None:

@@ -331,8 +331,8 @@ class Replanner:
         """Solve the remaining missions before take-off, as initial points of the solves in flight.
 
         `plan` is the plan made before take-off. The penalty on violations is increased until the
-        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If none of three penalties
-        suffices, it keeps its former value.
+        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If limits are still broken
+        after two increases, it keeps its former value.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -350,9 +350,9 @@ class Replanner:
     ) -> Solution:
         """Solve the remaining mission from a given state at time t [s], for a re-plan.
 
-        The solve starts from the last converged solution. If `is_patient`, it has as many
+        The solve starts from the last converged solution. If `is_patient`, it may take as many
         iterations as before take-off. `state` has the order of `dynamics`. Raises a
-        TranscriptionError if it is outside the hard limits of rotors and battery.
+        TranscriptionError if the state is outside the hard limits of rotors and battery.
         """
         rest = self.at(t)
         last = self._last.get(rest)
@@ -447,8 +447,8 @@ class Replanner:
         """Predict the state at time `end` [s], from which the next re-plan starts.
 
         The planned state is moved towards the state measured at `start`, until the controller can
-        correct the remaining deviation: docs/theory/soft_limits.md, eq. (3). The thrust of the
-        result balances `unexplained`, the present estimate minus `course.estimate`.
+        correct the remaining deviation. The thrust of the result balances `unexplained` [m/s^2],
+        the present estimate minus `course.estimate`. See docs/theory/soft_limits.md.
         """
         planned, later = self._states(course.plan, start, end)
         self._balance_added_acceleration(later, course.path(end), unexplained)
@@ -469,8 +469,8 @@ class Replanner:
     ) -> None:
         """Change a planned state so that the thrust balances an additional acceleration.
 
-        Attitude and rotor speeds in `state` are changed in place. `unexplained` has shape (3,)
-        [m/s^2].
+        It is `unexplained`, shape (3,) [m/s^2]. Attitude and rotor speeds in `state` are changed in
+        place. Implements docs/theory/soft_limits.md, eq. (3).
         """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
         given = np.array(setpoint.acceleration[:3]) + weight

@@ -92,15 +92,16 @@ class _Leg:
 
 
 class _Observer:
-    """Estimator of the acceleration in excess of that by the equations assumed before take-off.
+    """Estimator of the unexplained acceleration, which the assumed equations do not contain.
 
-    These equations are `Replanner.dynamics`. The estimator applies the adaptation law of the
-    controller to the measured states.
+    The equations assumed before take-off are `Replanner.dynamics`. The estimator applies the
+    adaptation law of the controller to the measured states.
     """
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
-        # Wind and mass that differ from those of these equations cause the acceleration.
+        # Wind and mass that differ from those of these equations cause the unexplained
+        # acceleration.
         self._dynamics = dynamics = replanner.dynamics
         self._released = replanner.released
         self._mass, self._gravity = scenario.vehicle.total_mass, scenario.gravity
@@ -368,9 +369,9 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    `dynamics` is the vehicle in the actual wind. If `plan` is None or assumes another wind than
-    `knowledge`, a plan is first made before take-off. `computer` maps the processor time of a solve
-    to its time aboard [s]. Raises a SolveError if the flight is out of control.
+    `dynamics` is the vehicle in the actual wind. Unless `plan` assumes the wind of `knowledge`, a
+    new plan is made before take-off. `computer` maps processor times of solves to times aboard [s].
+    Raises a SolveError if there is no plan before take-off, or the flight is out of control.
     """
     began = perf_counter()
     refuse_other_vehicles(scenario, dynamics)

@@ -29,8 +29,9 @@ _SECONDS_PER_HOUR = 3600.0
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and battery currents of the return flight filled in.
 
-    Given values are kept. The current of the climb is filled in only over terrain, and nothing
-    without `mission.return_reserve`. Raises a SolveError if the vehicle or its pack is too weak.
+    Given values are kept. The current of the climb is filled in only over terrain. A scenario
+    without `mission.return_reserve` is returned unchanged. Raises a SolveError if the vehicle or
+    its pack cannot fly against the wind, or climb.
     """
     mission = scenario.mission
     told = mission.return_flight

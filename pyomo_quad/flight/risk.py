@@ -44,7 +44,8 @@ def plan_at_risk(
     """Solve a scenario for a plan whose margins are large enough for the allowed risk.
 
     If no such plan is found, the result is the plan of least risk. There are no margins if any risk
-    is allowed, the plan is not flyable, or the model is a user's own.
+    is allowed, the plan is not flyable, or the model is a user's own. The keywords ``solve`` are
+    further arguments of `Planner.solve`.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)

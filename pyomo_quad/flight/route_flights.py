@@ -75,8 +75,8 @@ class RouteFlights:
     Attributes
     ----------
     has_several_optima : bool
-        Whether a flight of free duration leads through a wind field without waypoints. It may then
-        have several local optima, and is solved from several initial guesses.
+        Whether the mission has a free duration, a wind field and no waypoints. It may then have
+        several local optima, and is solved from several initial guesses.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -104,8 +104,8 @@ class RouteFlights:
         """Solve the mission along candidate journeys; return the best solution and all results.
 
         The journeys are the `most` shortest, by default `routes.MOST_ROUTES`. In a wind field, the
-        default is those of least energy in steady flight. If zones block every journey, the
-        solution is infeasible.
+        default is those of least energy in steady flight, and the shortest. If zones block every
+        journey, the solution is infeasible and there are no results.
         """
         try:
             journeys = self._journeys(most)
@@ -117,9 +117,9 @@ class RouteFlights:
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along given journeys; return the best solution and the result of each.
 
-        The best solution is refined, or failed if no solve converges. Journeys are left out if an
-        earlier one has the same solution, or a solution that dominates theirs
-        (docs/theory/routes.md, eq. (1)).
+        The best solution is refined, or failed if no solve converges. A journey is left out if an
+        earlier one has the same solution, or a solution that is as good by docs/theory/routes.md,
+        eq. (1).
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey, solution in self._each_flown(journeys):
@@ -236,8 +236,8 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys along which the mission is solved, at most `most` of them.
 
-        The shortest journey comes first. In a wind field without `most`, it comes last, after the
-        journeys of least estimated energy.
+        They are in order of length. In a wind field, if `most` is None, they are the journeys of
+        least estimated energy, and last the shortest.
         """
         told = self._scenario
         journeys = self._mission.journeys[:most]
@@ -411,7 +411,7 @@ class RouteFlights:
         few = {} if meshes is None else {"max_meshes": meshes}
         if flown.status.is_solved and not mission.easier:
             return mission.go_on(flown, **few)
-        # Without regeneration, a limited number of meshes has the easiest parameter values.
+        # Without regeneration, a solve on few meshes uses the easiest parameter values.
         return mission.solve(
             next(iter(mission.easier), None) if few else None,
             mesh=flown.mesh,
@@ -597,7 +597,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
     """Return the numbers of the solutions whose cost is near the least, the cheapest first.
 
-    `share` is the largest relative difference from the least cost, `most` the largest number.
+    `share` is the largest relative difference from the least cost. At most `most` are returned.
     """
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)

@@ -106,9 +106,9 @@ def find_routes(
 ) -> tuple[Route, ...]:
     """Return the shortest route of each homotopy class between two places, the shortest first.
 
-    Corners are at least the clearance plus `zones.MARGIN_M` from their zones. Routes longer than
-    twice the shortest are left out. Over terrain, `climbs.over_the_ground` raises them to the
-    floor.
+    The result is empty if zones block every way. Corners are at least the clearance plus
+    `zones.MARGIN_M` from their zones. Routes longer than twice the shortest are left out. Over
+    terrain, `climbs.over_the_ground` raises them to the floor.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -411,7 +411,7 @@ class SpeedProfile(NamedTuple):
 
 
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:
-    """Return the fastest motion from rest to rest over a distance [m], with limited jerk.
+    """Return the fastest motion from rest to rest over a positive distance [m], with limited jerk.
 
     `speed`, `acceleration` and `jerk` are the largest magnitudes allowed [m/s, m/s^2, m/s^3]. Some
     of the seven phases may have zero duration.
@@ -460,9 +460,9 @@ def cruise_at(
 ) -> Scenario:
     """Return the mission with the passing times and the duration of an autopilot's cruise.
 
-    `speed` [m/s] replaces the cruise speed of the scenario. The vehicle hovers at the goal for
-    `settling_s`, or longer until the flight has lasted `least_s`. Raises a ScenarioError if there
-    is no such cruise.
+    `speed` [m/s] replaces the scenario's cruise speed. The vehicle hovers at the goal for
+    `settling_s`, or until `least_s`. Raises a ScenarioError if zones block a leg, all places are
+    the same, or there is no single cruise speed.
     """
     told = scenario
     if speed is not None:

@@ -2,8 +2,8 @@
 
 A point moves along the straight lines of the route with bounded acceleration, and slowly past
 corners. The smooth path is a moving average of this motion, with continuous velocity, acceleration
-and jerk. The average cuts corners, which are moved outwards until the path passes through the
-original ones. See docs/theory/geometric_plan.md, eqs. (1) to (4).
+and jerk. The average cuts corners. The corners of the lines are therefore moved outwards, until the
+path passes through the original corners. See docs/theory/geometric_plan.md, eqs. (1) to (4).
 """
 
 from __future__ import annotations
@@ -172,8 +172,8 @@ def _pace_for(
 def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> FloatArray:
     """Return the speed of a motion along straight lines at each of n corners [m/s], shape (n,).
 
-    `steps` are the ways between corners [m]. Implements docs/theory/geometric_plan.md, eqs. (1) and
-    (2).
+    `steps` are the displacements between corners, shape (n - 1, 3) [m]. Implements
+    docs/theory/geometric_plan.md, eqs. (1) and (2).
     """
     lengths = np.linalg.norm(steps, axis=1)
     courses = steps / np.maximum(lengths, _SAME_M)[:, None]

@@ -55,9 +55,9 @@ def shifts_within_limits(
 ) -> tuple[StateShift, ...]:
     """Return shifts of a path away from the limits that a simulated flight along it exceeds.
 
-    Only limits on tilt, speed and rotor speed count. A shift follows if the excess is above half of
-    `tolerated`, relative to max(1, largest magnitude in the flight). Implements
-    docs/theory/tracking.md, eq. (9).
+    Only limits on tilt, speed and rotor speed count. Each time span with an excess above 0.5 *
+    `tolerated` * max(1, m) gives a shift, where m is the largest magnitude of the quantity.
+    Implements docs/theory/tracking.md, eq. (9).
     """
     found: list[StateShift] = []
     for limit in limits:

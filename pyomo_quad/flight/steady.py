@@ -150,6 +150,7 @@ class SteadyFlight:
         """
         wanted = np.array(velocity, dtype=float)
         key = tuple(wanted.tolist())
+        # The guess has no effect on a velocity that was computed before.
         return self._trims.get(key) or self._trims.store(key, self._trimmed(wanted, near))
 
     def _trimmed(self, velocity: FloatArray, near: Trim | None) -> Trim:
@@ -248,7 +249,7 @@ class SteadyFlight:
         """Return the time for which a full battery sustains a steady flight [s].
 
         `depth` is the fraction of the capacity that is drawn, `samples` the number of quadrature
-        points. The time is infinite without power, and zero if the battery cannot give the power.
+        points. The time is infinite if no charge is drawn, and zero if the battery is too weak.
         """
         drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
         rate, reserve = self.charge_rates(trim, drawn, self._circuit_under_load(trim, drawn))
@@ -480,8 +481,9 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    The required thrust is mass * (a - a_0). Here a is the acceleration of the motion, and a_0 that
-    by weight and air with stopped rotors: docs/theory/bound.md, eq. (1).
+    Whatever the attitude, the required thrust is mass * (a - a_0). Here a is the acceleration of
+    the motion, and a_0 that by weight and air with stopped rotors. For drag that is linear in the
+    velocity, see docs/theory/bound.md, eq. (1).
 
     Attributes
     ----------

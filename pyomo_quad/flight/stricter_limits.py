@@ -144,8 +144,8 @@ def within_limits(
         if not found.status.is_solved:
             return
         last = found
-        # The errors on the finer mesh are at most those of the relaxed solution.
-        # The plan has the parameter values of the mission, without the stricter limits.
+        # The plan has the parameter values of the mission, without the stricter limits. The errors
+        # on the finer mesh are at most those of the relaxed solution.
         own = replace(
             found,
             instance=relaxed.instance,
@@ -206,8 +206,8 @@ def _by_parameter(
 ) -> dict[str, tuple[float, float]]:
     """Return the violation of each broken limit, and the change that makes the limit stricter.
 
-    Key: name of the parameter that sets the limit. Both numbers have its unit. The violation is
-    positive, the change may have either sign.
+    The keys are the parameters that set the limits. Both numbers have the unit of the parameter.
+    The violation is positive, the change may have either sign.
     """
     found = dict[str, tuple[float, float]]()
     for breach in broken:
@@ -225,8 +225,7 @@ def _by_parameter(
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Return parameter values with changes added, for a solve with stricter limits.
 
-    A parameter decreases by at most half. The floor rises at most to the lower one of start and
-    goal, and the ceiling falls at most to the higher one.
+    A parameter decreases by at most half. Start and goal stay between floor and ceiling.
     """
     found = dict(numbers)
     for name, change in changes.items():

@@ -208,7 +208,7 @@ def find_orders(
     """Search for the cheapest orders of the waypoints of a mission; return at most `count` orders.
 
     The legs of these orders are solved by `solve` (see `LegTable`), the others predicted. If zones
-    leave no way to visit all places, the result is the listed order with infinite cost.
+    leave no way to visit all places, the result is only the scenario's own order, at infinite cost.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -246,8 +246,8 @@ def find_orders(
 def legs_expected(waypoints: int) -> int:
     """Return the approximate number of legs that a search for the best order solves first.
 
-    The number of `waypoints` determines it. The result serves to estimate the computing time of a
-    search, which may solve more legs later.
+    `waypoints` is the number of waypoints. The search may solve more legs later. The result serves
+    to estimate its computing time.
     """
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS

@@ -113,9 +113,9 @@ def tracked(
 ) -> Trajectories | None:
     """Return the simulated flight of a vehicle that follows a coarse solution under feedback.
 
-    The controls anticipate the deviations in `previous`, an earlier result. None if the vehicle
-    cannot follow the solution. Raises a SolveError if the integration fails, or the enclosing
-    `Deadline` has passed.
+    The controls anticipate the deviations in `previous`, an earlier result for `coarse`. Long
+    elements of the mesh are split. None if the vehicle cannot follow the solution. Raises a
+    SolveError if the integration fails, or the enclosing `Deadline` has passed.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
@@ -362,8 +362,8 @@ def _followed(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
-    The result is states and energy at the nodes, and the corrected controls; None if a state grows
-    beyond any physical value. Implements docs/theory/tracking.md, eq. (1).
+    The result is states and energy at the nodes, in one array, and the corrected controls. None if
+    a state grows beyond any physical value. Implements docs/theory/tracking.md, eq. (1).
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

@@ -110,9 +110,9 @@ def verified(
 ) -> Plan:
     """Verify a plan by simulation of its controls, and return it with the result.
 
-    Except at `proof`, feedback first corrects the controls (docs/theory/tracking.md). The status is
-    `VERIFIED` if the solve converged, and simulation and error estimate are within tolerance. If
-    `is_rough`, a usable plan suffices. `least_energy` is by default the plan's energy [J].
+    Except at `proof`, feedback first corrects the controls (docs/theory/tracking.md), and the error
+    estimate is checked. The status is `VERIFIED` if the solve converged and all checks succeed. If
+    `is_rough`, a usable plan suffices. `least_energy` [J] is by default the plan's energy.
     """
     started = time.perf_counter()
     asked = accuracy or plan.scenario.solver.accuracy
@@ -152,8 +152,8 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback, and simulate the corrected controls.
 
-    If no flight under feedback is usable, the result is the last such flight. Raises a SolveError
-    if the first flight under feedback, or the simulation without feedback, fails.
+    The result is a simulation without feedback or, if no flight under feedback is usable, the last
+    of them. Raises a SolveError if the first flight or the simulation fails.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
@@ -262,7 +262,7 @@ def _followed(
     """Return a plan whose controls are corrected by feedback, or `plan` if it cannot be followed.
 
     The error estimate is max(e, abs(E - E_least) / E_least), docs/theory/tracking.md, eq. (5). Here
-    e is the estimate of `plan`, and E the energy of the flight.
+    e is the estimate of `plan`, E the energy of the flight, and E_least is `least_energy`.
     """
     followed = tracked(plan.dynamics, plan.trajectories, demands, previous)
     if followed is None:

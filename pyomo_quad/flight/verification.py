@@ -62,10 +62,11 @@ def fly_controls(
     method: str = "DOP853",
     integration: float = _PROOF.integration,
 ) -> Flown:
-    """Simulate the controls of a plan in open loop, from the first to the second time of `horizon`.
+    """Simulate the controls of a plan in open loop, between the two times of `horizon` [s].
 
-    Each element has `samples_per_element` equally spaced samples, or samples at given fractions,
-    which increase to 1. A failed integration or the time limit raises a SolveError.
+    `controls` has shape (n_points, n_controls). `samples_per_element` is the number of equally
+    spaced samples, or fractions of each element, increasing to 1. A failed integration or the time
+    limit raises a SolveError.
     """
     borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
     flow = ClosedLoop.without_feedback(dynamics)
@@ -119,8 +120,8 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    It is a function of time [s] and state. Parameters that jump at the start of the element have
-    their value just after it, at the time `inside` [s].
+    It is a function of time [s] and state. A parameter that jumps at the start of the element has
+    its value after the jump, at the time `inside` [s].
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
@@ -229,8 +230,8 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    The fraction is (needed - supplied) / needed, negative if the battery always supplies more. It
-    is 0 for a model without motor voltage or battery voltage.
+    The fraction is (needed - supplied) / needed for the motor that needs most. It is negative if
+    the battery always supplies more, and 0 for a model without motor voltage or battery voltage.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -309,8 +310,8 @@ def samples_of_path(
 ) -> list[FloatArray]:
     """Return where to sample each mesh element of a simulated flight, to check limits on position.
 
-    The samples are fractions of the element, increasing to 1. Near zones, they are at most
-    `spacing` [m] apart; near height limits over terrain, 1/20 of a grid step.
+    The samples are fractions of the element, increasing to 1. They are at most `spacing` [m] apart
+    near zones, and 1/20 of a grid step near height limits over terrain. `states` are at the nodes.
     """
     if airspace is None or not set(POSITION_STATES) <= set(dynamics.state_names):
         return [_equal_shares(SAMPLES_PER_ELEMENT)] * mesh.elements
@@ -380,9 +381,9 @@ def verify_controls(
 ) -> tuple[Verification, Flown]:
     """Simulate a plan's controls and compare the flight with the plan.
 
-    Near the zones and height limits of `airspace`, the flight is sampled densely. `energy` is the
-    planned energy [J]. `goal` has the final states to reach, by default those planned. See
-    `fly_controls` for errors.
+    `states` are at the nodes, shape (n_points + 1, n_states). `energy` is the planned energy [J].
+    `goal` has the final states to reach, by default those planned. See `fly_controls` for
+    `controls`, `horizon` and errors, and `samples_of_path` for the samples.
     """
     figures = FIGURES[accuracy]
     flown = fly_controls(

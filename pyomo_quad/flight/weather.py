@@ -44,7 +44,8 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     """Draw random winds, masses and powers for `count` simulated flights of fixed duration.
 
     If the scenario states no error of the wind forecast, all flights have the actual wind. The
-    draws of a flight depend only on `seed` and the index of the flight.
+    draws of a flight depend only on `seed` and its index. The returned equations are without random
+    errors.
     """
     told = scenario.as_forecast().wind
     # With an error of the forecast, each wind is the forecast plus a random error.
@@ -107,8 +108,8 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     """Return the change of the model's parameters by one standard deviation of each uncertainty.
 
     For each uncertain quantity (speed and direction of the wind, mass, hover power), a dictionary
-    maps full names of parameters to their changes. Quantities without standard deviation are left
-    out.
+    maps full names of parameters of `problem_in_turbulence` to their changes. Quantities without
+    standard deviation are left out.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told).tolist()

@@ -107,13 +107,12 @@ def _span_inside(
 def sides_passed(
     zone: KeepOut, ends: FloatArray, clearance: float, starts: FloatArray, stops: FloatArray
 ) -> NDArray[np.intp]:
-    """Return the side on which each of n straight lines passes a keep-out zone.
+    """Return the side on which each of n straight lines passes a keep-out zone, shape (n,).
 
-    The result is an index in `Side`, or -1 for a line that does not cross the plane of the module
-    docstring. `ends` are the ends of the leg.
+    A side is an index in `Side`, or -1 if the line does not cross the plane that the module
+    defines. If this plane goes through one of the `ends` of the leg, all are -1.
     """
     section = _section(zone, ends, clearance)
-    # The plane goes through an end of the leg.
     if section is None:
         return np.full(len(starts), -1)
     first, last = ((places - section.middle) @ section.along for places in (starts, stops))
@@ -150,7 +149,7 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
     if not ROUNDING < share < 1.0 - ROUNDING:
         return None
     along, left, up = _frame(ends)
-    # Not the centre of the zone: it may lie before the start of the leg or beyond its goal, and a
+    # Not the centre of the zone, which may lie before the start of the leg or beyond its goal: a
     # route need not cross a plane there.
     middle = ends[0] + share * (ends[1] - ends[0])
     middle, _ = _chord(zone, middle, left, reach)
@@ -163,7 +162,8 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
     """Return the fraction of a leg at which it passes a keep-out zone, and the clearance used [m].
 
-    If the leg stays outside, the clearance is raised until the zone enlarged by it reaches the leg.
+    If the leg stays outside, the clearance is raised until the enlarged zone reaches the leg, and
+    by `MARGIN_M` beyond.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -180,7 +180,6 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
         first, last = span(middle)
         short, reach = (short, middle) if last > first else (middle, reach)
     first, last = span(reach)
-    # With this clearance, the zone extends `MARGIN_M` beyond the point of the leg nearest to it.
     return (first + last) / 2, reach + MARGIN_M
 
 

@@ -68,8 +68,8 @@ def _seconds_aloft(
 ) -> pd.DataFrame:
     """Average the samples of a log over each second in flight.
 
-    The velocities [m/s] are north, east and up; the wind [m/s] blows toward north and east. The
-    result lacks the column with the flight's name.
+    `velocity` is over ground: north, east, up [m/s]. The wind blows toward north and east [m/s].
+    The result lacks the flight's name.
     """
     air = (speed - blowing for speed, blowing in zip(velocity, wind, strict=False))
     frame = pd.DataFrame(
@@ -156,8 +156,9 @@ _USUAL_CELSIUS = 15.0
 def read_ardupilot(file: Path) -> pd.DataFrame:
     """Read an ArduPilot log (`.BIN`) as averages over each second of flight.
 
-    Motion and wind are estimates of the first Kalman filter EKF3. Without an estimate of the wind,
-    the air is calm. A missing `pymavlink` or a damaged or incomplete log raises a ScenarioError.
+    Motion and wind are estimates of the first instance of the Kalman filter EKF3. Without an
+    estimate of the wind, the air is taken to be calm. A missing `pymavlink` or a damaged or
+    incomplete log raises a ScenarioError.
     """
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read

@@ -155,8 +155,9 @@ def draw_power(found: Identification) -> Figure:
 def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
     """Draw measured and computed cell voltage of three flights, and the error of each flight.
 
-    The left panel shows the voltages over time. The right panel shows the root mean square error
-    over the resistance of the flight's pack, relative to the median pack.
+    The left panel shows the voltages over time. The right panel has one point per flight:
+    horizontally the resistance of its pack divided by that of the median pack, vertically the root
+    mean square error [mV per cell].
     """
     figure, (left, right) = full_width(3.4, (1, 2), top=0.92, bottom=0.15, wspace=0.28)
     known = set(pack.flights[FLIGHT])

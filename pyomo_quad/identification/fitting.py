@@ -100,13 +100,13 @@ class IdentifiedParameter:
     name : str
         Name of the field.
     base, base_source : float, str
-        Value before the fit, and its source.
+        Value before the fit, and its source, which may be a fit to the same flights.
     value : float
         Fitted value.
     first_half, second_half : float
-        Values fitted to each half of the flights.
+        Values fitted to one half of the flights and to the other.
     deviation : float
-        Standard deviation by bootstrap; 0 if undetermined.
+        Standard deviation by bootstrap over the flights; 0 if undetermined.
     is_determined : bool
         Whether the flights determine the field. If not, all values equal `base`.
     is_at_bound : bool
@@ -145,7 +145,7 @@ class Identification:
     together : tuple of (str, str)
         Result of `confounded` for the undetermined fields.
     cautions : tuple of str
-        Warnings about the rows.
+        Warnings that the rows are too few or too far apart in time.
     """
 
     scenario: Scenario
@@ -167,8 +167,8 @@ class Identification:
     def excess(self, slowest: float, fastest: float) -> float:
         """Return the mean of measured minus computed power in cruise, in a range of airspeeds [W].
 
-        The power is that of the fit to all flights. The horizontal airspeed v satisfies slowest <=
-        v < fastest [m/s]. Without such rows, the result is NaN.
+        The computed power is that of the fit to all flights. The horizontal airspeed v satisfies
+        slowest <= v < fastest [m/s]. Without such rows, the result is NaN.
         """
         is_between = (slowest <= self.airspeeds) & (self.airspeeds < fastest)
         is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & is_between
@@ -264,7 +264,7 @@ class Fit:
         """Return the parameters fitted to random draws of flights (bootstrap), shape (n_draws, n).
 
         Each draw chooses as many flights as the log has, with replacement. Equal input gives equal
-        draws. See docs/theory/identification.md, eq. (4).
+        draws. `values` are those fitted to all flights. See docs/theory/identification.md, eq. (4).
         """
         slopes = self.slopes(values)
         at, first = self.windows(self.power(values), self.everything)
@@ -343,8 +343,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the upper bound of a drag coefficient in the fit [kg/s or kg/m].
 
-    With this coefficient, drag equals weight at the largest airspeed of the log: the vehicle tilts
-    by 45° in level flight.
+    With this coefficient, the drag at the largest airspeed of the log equals the weight without
+    payload: the vehicle tilts by 45° in level flight.
     """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor

@@ -119,8 +119,8 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     """Join the flights of several logs, given as file and rows, in one table.
 
-    If two flights have the same name, or the names differ in type, the name of the log precedes
-    each name. If two names are then still equal, a ScenarioError is raised.
+    If two flights have the same name, or if the names differ in type, the name of its log is put
+    before the name of each flight. If two names are still equal, a ScenarioError is raised.
     """
     held = [frame for _, frame in logs]
     if not _names(held).is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:
@@ -192,8 +192,8 @@ def _read(file: Path, source: str) -> pd.DataFrame:
 def _wanted(names: Iterable[str]) -> dict[str, str]:
     """Map the names of the needed columns in a log to their names in `COLUMNS`.
 
-    A missing column raises a ScenarioError. The power may be missing if voltage and current are
-    present.
+    Voltage and current are included if the log has them; with both, the power may be missing. Any
+    other missing column raises a ScenarioError.
     """
     held = set(names)
     found = {name: name for name in _ELECTRIC if name in held}

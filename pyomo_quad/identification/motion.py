@@ -174,7 +174,7 @@ class LoggedMotion:
                 steps = np.linalg.solve(np.stack(slopes, axis=2), missing[:, :, None])[:, :, 0]
             except np.linalg.LinAlgError:
                 break  # singular: the acceleration of a row is independent of its state
-            # Roll, pitch and rotor speed are found; the velocity is the logged one.
+            # Newton's method changes roll, pitch and rotor speed; the velocity is the logged one.
             for column, step in zip(self._angles, steps.T, strict=False):
                 at[:, column] = np.clip(at[:, column] + step, -_STEEPEST, _STEEPEST)
             at[:, self._rotors] *= np.clip(1.0 + steps[:, 2:], 0.5, 2.0)

@@ -91,10 +91,10 @@ class PackIdentification:
     parameters : tuple of PackParameter
         Fitted fields.
     flights : DataFrame
-        For each unseen flight: charge at start and end [percent], resistance relative to the median
-        pack, and errors.
+        For each unseen flight: charges `start_charge_percent` and `end_charge_percent`, resistance
+        relative to the median pack (`resistance_factor`), `error_mV` and `unread_error_mV`.
     rows : DataFrame
-        Measured and computed cell voltage [V] of unseen flights over time [s].
+        Cell voltages `measured_V` and `computed_V` of unseen flights over time [s].
     read_s : float
         End of the first seconds under load, in the time of `rows` [s].
     error_mV : float

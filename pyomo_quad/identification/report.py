@@ -164,7 +164,7 @@ def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> S
     """Write the computed energy of each flight and a summary into an empty folder.
 
     `power` is the computed power of each row of `frame`, shape (n_rows,) [W]. The result has the
-    errors.
+    errors of the computed energies and powers.
     """
     write_table(energies(frame, power), folder / PREDICTIONS_NAME)
     found = scores(frame, power)
@@ -176,7 +176,8 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
     """Return the text of a vehicle file: a base vehicle with some fields changed.
 
     `changed` has value and source by field name. `base` is a vehicle of the library or the path of
-    a vehicle file. `battery` may name a battery file.
+    a vehicle file. A battery file `battery` in the folder of the new file replaces the battery of
+    `base`.
     """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}

@@ -35,9 +35,9 @@ _OURS = "momentum theory, declared"
 def model_table(found: Identification) -> pd.DataFrame:
     """Tabulate the errors of the published power models and of the identified model.
 
-    The columns are the number of fitted parameters, the errors of energy and power in
-    cross-validation, and the errors of energy in extrapolations. The last row is the identified
-    model.
+    The columns are `model`, `numbers_fitted`, the errors of `Scores` in cross-validation, and
+    `extrapolation_1_error_percent` (of energies) and so on for each extrapolation. The last row is
+    the identified model.
     """
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
@@ -57,7 +57,7 @@ def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
     """Return the regressors of each published power model, by the model's name.
 
     Each model is linear in its parameters p: power = X p, with the matrix X of regressors, shape
-    (n_rows, n_parameters).
+    (n_rows, n_parameters). `mass` is without payload [kg].
     """
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)

@@ -156,7 +156,8 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 def _read_csv(file: Path) -> pd.DataFrame:
     """Read at most 10000 measured points of steady flight from a CSV table, one point per row.
 
-    A table without numeric power or endurance raises a ScenarioError.
+    If the file is unreadable or empty, has text in a column, or has neither powers nor endurances,
+    a ScenarioError is raised.
     """
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:
@@ -224,8 +225,8 @@ def identify_steady(
     """Fit a vehicle's power parameters to points of steady flight.
 
     `scenario` comes from `vehicle_scenario`, and `points` from `read_steady`. Of the fields that
-    the points determine, at most `len(points)` are fitted. If the vehicle cannot fly steadily at a
-    point, a ScenarioError is raised.
+    the points determine, at most the first `len(points)` are fitted. If the vehicle cannot fly
+    steadily at a point, a ScenarioError is raised.
     """
     frame = as_flights(points, scenario)
     motion = LoggedMotion(scenario, frame)

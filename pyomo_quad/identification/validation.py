@@ -79,7 +79,7 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
     """Compute the measured and the computed energy of each flight [J].
 
     The energy is the sum over take-off, cruise and landing. `power` is the computed power of each
-    row [W]. The third column is 100 (computed - measured) / measured [percent].
+    row [W]. The column `ERROR` is 100 (computed - measured) / measured [percent].
     """
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     columns = {MEASURED_ENERGY: frame[POWER] * steps, PREDICTED_ENERGY: power * steps}
@@ -132,8 +132,9 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     """Test how a model extrapolates to other payloads and speeds.
 
-    `fitted` is as in `cross_validated`. A fit to the heaviest payload is tested on the lightest, a
-    fit to the slower half of the speeds on the fastest. A test needs different payloads or speeds.
+    If the payloads differ, a fit to the heaviest payload is tested on the lightest. If the speeds
+    differ, a fit to the slower half of the speeds is tested on the fastest. See `cross_validated`
+    for `fitted`.
     """
 
     def trial(name: str, fitted_on: str, seen: Rows, tried_on: str, tried: Rows) -> Trial:

@@ -65,8 +65,8 @@ _PARASITIC = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
-    They are the coefficients of the forces that act on the vehicle. The coefficients of the
-    isotropic drag are not included: block `vehicle` has them.
+    They are the coefficients of the forces that act on the vehicle, except for those of the
+    isotropic drag, which block `vehicle` has.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -88,9 +88,9 @@ def acts_in_body_axes(scenario: Scenario) -> bool:
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the aerodynamic force and moments on the vehicle in block `aerodynamics`.
 
-    `force_x`, `force_y` and `force_z` are along the world axes [N]. With rotor drag or
-    translational lift, `roll_moment`, `pitch_moment` and `yaw_moment` about the body axes [N m] are
-    added.
+    The expressions `force_x`, `force_y` and `force_z` are along the world axes [N]. If the vehicle
+    has rotor drag or translational lift, `roll_moment`, `pitch_moment` and `yaw_moment` about the
+    body axes [N m] are declared, too.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -206,7 +206,8 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
     """Declare the drag divided by the airspeed, and return the drag forces along the world axes.
 
-    The ratio is d_1 + d_2 abs(v) [kg/s]. The forces are Pyomo rules with documentation texts.
+    The ratio is d_1 + d_2 abs(v) [kg/s]. Each force is returned as its Pyomo rule and
+    documentation text, by name.
     """
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")

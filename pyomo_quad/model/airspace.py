@@ -106,8 +106,9 @@ def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
 def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     """Return the edges of the wind field that flights must not cross, by name.
 
-    An edge, such as "west" or "top", has its axis (0, 1, 2), its side (-1 lower, 1 upper) and its
-    coordinate [m]. If flights may leave, there are none.
+    Names are "west", "east", "south", "north" and, if the field varies with height, "bottom" and
+    "top". Values are axis (0, 1, 2), side (-1 lower, 1 upper) and coordinate [m]. Without a field,
+    or if flights may leave it, there are none.
     """
     wind = scenario.wind
     return {} if wind.grid is None or wind.beyond is Beyond.HOLD else wind.grid.edges
@@ -134,8 +135,8 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and its centre on these axes [m].
 
-    For an interval across the edge of a polygon, the centre lies on the normal of the edge through
-    the origin.
+    An interval across an edge of a polygon has its centre at c n: n is the unit vector across the
+    edge, c the middle of the interval.
     """
     if ball.normal is None:
         return ball.axes, ball.centre
@@ -302,7 +303,10 @@ def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
 
 
 def _refuse_touching(scenario: Scenario) -> None:
-    """Raise a ScenarioError if a start, waypoint or goal is in or on a keep-out zone."""
+    """Raise a ScenarioError if a start, goal or waypoint without radius touches a keep-out zone.
+
+    The zone includes its clearance and its smoothed edges.
+    """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)

@@ -100,8 +100,9 @@ def may_lose_voltage(scenario: Scenario) -> bool:
 def build_pack(scenario: Scenario) -> ConcreteModel:
     """Build a model of the battery alone, which delivers the mutable parameter `power.load` [W].
 
-    The set `time` is one hour, not discretised. The package `identification` simulates the model in
-    time steps, with the measured power of each step as the load.
+    `power.total` equals this load. The set `time` is one hour, not discretised. The package
+    `identification` simulates the model in time steps, with the measured power of each step as the
+    load.
     """
     m = ConcreteModel(name="pack")
     m.time = ContinuousSet(initialize=(0.0, 1800.0, 3600.0), doc="time [s]")
@@ -149,8 +150,9 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_loss(m: ConcreteModel) -> None:
     """Declare the energy lost inside the battery as a state, to minimise the charge.
 
-    The loss is the integral of U_0 i - P, with the initial open-circuit voltage U_0. Energy plus
-    loss is U_0 times the charge drawn. See docs/theory/battery.md, eqs. (11) to (12).
+    The loss is the integral of U_0 i - P, with the initial open-circuit voltage U_0, current i and
+    power P. Energy plus loss is U_0 times the charge drawn in flight. See docs/theory/battery.md,
+    eqs. (11) to (12).
     """
     b, start = m.battery, m.time.first()
     charge, missing = b.charge_drawn[start], 1 - b.initial_state_of_charge / (100 * units.percent)

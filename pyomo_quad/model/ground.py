@@ -64,7 +64,7 @@ def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
     """Return the height of the vehicle that a floor (`side` 1) or a ceiling (-1) limits [m].
 
     Over flat ground, it is z. Over terrain, it is the height above a smooth surface: for a floor,
-    nowhere below the ground; for a ceiling, nowhere above.
+    nowhere below the ground; for a ceiling, which the airspace must then have, nowhere above.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

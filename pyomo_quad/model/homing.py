@@ -3,7 +3,7 @@
 symbol | name | unit | meaning
 d_k | way | m | straight distance to home k
 w_k | tail_wind | m/s | component of the wind towards home k, at the vehicle
-g_k | ground_speed | m/s | ground speed on the straight course to home k, at the airspeed V
+g_k | ground_speed | m/s | ground speed on a straight course to home k (wind triangle, airspeed V)
 H_k | height_home | m | least height of the level return to home k over terrain
 c_k | climb | m | climb from the vehicle's height to H_k, over terrain
 q_k | charge_to | A h | charge of the return to home k, including the margin

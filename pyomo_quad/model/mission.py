@@ -1,6 +1,6 @@
 """Boundary conditions of a mission: hover at start and goal, passages of waypoints.
 
-A passage is the instant at which the flight is at a waypoint, a variable of the plan.
+A passage is the instant at which the flight is at a waypoint. Its time is a variable of the plan.
 
 At start and goal, the paper (Yacef et al.) sets every rotor to 912 rad/s, at which the thrust is
 0.07 % less than the weight. In this module, the thrust equals the weight: the rotor speed omega
@@ -117,8 +117,9 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `mission`.
 
-    A hover at a waypoint adds limits during the hover, and a constant heading a limit on the yaw
-    rate. A free duration adds its bounds and its price `price_of_time` [W].
+    They give place and heading at start and goal, and conditions at waypoints. A hover at a
+    waypoint adds its limits, and a constant heading a limit on the yaw rate. A free duration adds
+    bounds and the price `price_of_time` [W].
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -158,8 +159,8 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the Pyomo variables of all times that a plan chooses, by their nominal times [s].
 
-    A plan chooses the passing times of waypoints, the ends of hovers and a free duration. The
-    nominal times are members of the time set of the model `m`.
+    A plan chooses the passing times of waypoints, the ends of hovers and, if it is free, the
+    duration. The nominal times are members of the time set of the model `m`.
     """
     # Constraints at a chosen time are declared at its nominal time.
     *passages, end = scenario.nominal_times

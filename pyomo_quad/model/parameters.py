@@ -54,8 +54,8 @@ _TABLES: dict[str, Table] = {}
 def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
     """Return the declaration of a model parameter for each of several scenario fields.
 
-    `table` is the dotted path of the fields' table. A parameter has the unit and meaning of its
-    field, and the same name or, with ``name="field"``, another name.
+    `table` is the dotted path of the fields' table, empty for the scenario itself. A parameter has
+    the unit, meaning and name of its field. With ``parameter_name="field_name"``, its name differs.
     """
     rows = []
     for name, field in (*zip(names, names, strict=True), *renamed.items()):
@@ -139,8 +139,8 @@ def parameter_items(
 def positive_part(value: NumericExpression, width: NumericExpression) -> NumericExpression:
     """Return a smooth max(value, 0): convex, increasing, never negative.
 
-    `width` is half the width of the rounded kink. The result exceeds max(value, 0) by width/2 at
-    value = 0, and by about width^2/(4 abs(value)) far from zero.
+    `width` is half the width over which the kink is rounded, in the unit of `value`. The result
+    exceeds max(value, 0) by width/2 at value = 0, and by about width^2/(4 abs(value)) far away.
     """
     return (value + sqrt(value**2 + width**2)) / 2
 
@@ -165,8 +165,8 @@ def saturated(
 ) -> NumericExpression:
     """Return a smooth max(value, floor) that equals the value, up to rounding, far above the floor.
 
-    At value = floor + 10 width, the difference is 2e-8 width. The least result is 0.14 width
-    (`DIP`) below the floor. Unlike a softplus, it does not overflow.
+    At value = floor + 10 width, result and value differ by 2e-8 width. Near the floor, the result
+    may fall below it by up to 0.14 width (`DIP`). Unlike a softplus, it does not overflow.
     """
     excess = value - floor
     return floor + excess * (1 + tanh(excess / width)) / 2

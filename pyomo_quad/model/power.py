@@ -1,9 +1,10 @@
 """The electrical power of the rotors, by one of six models.
 
-Each model is a function that declares the power of every rotor over time [W], as the expression
-`name` of block `power`. The energy of the flight is the integral over time of the power of all
-rotors, eq. (8) of the paper (Yacef et al.). The paper prints eq. (8) with a double sum: for each
-rotor, over the speeds of all rotors. The package uses a single sum over the rotors.
+Each model is a function that declares the power of every rotor over time [W]. Its argument `name`
+is the name of this expression in block `power`. The energy of the flight is the integral over time
+of the power of all rotors, eq. (8) of the paper (Yacef et al.). The paper prints eq. (8) with a
+double sum: for each rotor, over the speeds of all rotors. The package uses a single sum over the
+rotors.
 
 Symbols in the table: v, i and tau are voltage, current and torque of a motor. omega is the rotor
 speed, alpha the rotor acceleration. eta is a constant efficiency. f_r is the efficiency of motor
@@ -144,8 +145,9 @@ def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
 def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the power of each rotor and the total power in block `power`.
 
-    The scenario selects the power model, and whether braking rotors return energy. The model
-    `momentum` also needs `rigid_body` and the airspeeds of block `aerodynamics`.
+    The scenario selects the power model, and whether braking rotors return energy. `m` already
+    declares `time`, `vehicle` and `rotors` and, for the power model `momentum`, `rigid_body` and
+    the airspeeds of block `aerodynamics`.
     """
     b = m.power = Block(doc="power, Yacef et al., eq. (8)")
     declare_parameters(b, scenario)

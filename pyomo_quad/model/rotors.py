@@ -60,7 +60,7 @@ def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the torque of each motor and, if the motor constants are known, current and voltage.
 
     Torque [N m], current [A] and voltage [V] are expressions over rotors and time in block
-    `rotors`. The vehicle's table `motor` has the constants.
+    `rotors`. The vehicle's table `motor`, if given, has the motor constants.
     """
     b = m.rotors
 
@@ -94,8 +94,9 @@ _NOMINAL_ACCELERATION = 1e3
 def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare rotor speeds, their accelerations and the mixer in block `rotors`.
 
-    The mixer consists of total thrust [N], moments about the body axes [N m], and speed imbalance
-    [rad/s]. The imbalance is the sum of the rotor speeds, signed by the direction of rotation.
+    Speeds are states, and accelerations are controls. The mixer consists of total thrust [N],
+    moments about the body axes [N m], and speed imbalance [rad/s]. The imbalance is the sum of the
+    rotor speeds, signed by the direction of rotation.
     """
     b = m.rotors = Block(doc="rotors, Yacef et al., eqs. (7) and (9)")
     b.rotor = Set(initialize=_numbers(scenario), doc="rotors as the paper numbers them")

@@ -74,8 +74,9 @@ class _Interval:
 def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
     """Return findings on the variables and limits of a continuous, not discretised model.
 
-    The checks are for missing scaling factors and controls without bounds. They also find limits of
-    one variable that are never active, contradict each other, or exclude its prescribed value.
+    The checks find missing scaling factors, controls without bounds, and limits of one variable
+    that are never active or contradict each other. They also find equality constraints that set a
+    variable to a value outside its limits.
     """
     intervals = _intervals(model)
     return (

@@ -75,7 +75,7 @@ BREACHES = ("soft.most", "soft.above", "soft.below")
 def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
-    It is the energy that lifts the vehicle by 300 m. With a penalty above eq. (2) of
+    It is the energy that lifts the vehicle by 300 m. With a penalty above the value of eq. (2) in
     docs/theory/soft_limits.md, a plan violates no limit that it can keep.
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity

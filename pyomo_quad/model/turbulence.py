@@ -129,8 +129,8 @@ def vertical_length(height: Any) -> Any:
 def vertical_deviation(wind_at_6_m: Any) -> Any:
     """Return the standard deviation sigma_w of gusts [m/s]: MIL-F-8785C, section 3.7.3.4.
 
-    The gusts are vertical. sigma_w is a tenth of `wind_at_6_m`, the mean wind at 6 m above the
-    ground [m/s].
+    sigma_w applies to the vertical gusts. It is a tenth of `wind_at_6_m`, the mean wind at 6 m
+    above the ground [m/s].
     """
     return 0.1 * wind_at_6_m
 
@@ -182,7 +182,8 @@ def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
 def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     """Add Dryden turbulence and an error of the wind forecast to the wind of a model.
 
-    The mutable parameter `wind.error` [m/s], initially zero, is the error of the horizontal wind.
+    The mutable parameter `wind.error` [m/s], initially zero, is the forecast error, which is added
+    to the horizontal wind.
     No equation may refer to the wind yet, because its expressions are replaced.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
@@ -368,7 +369,7 @@ class Gusts:
         return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
 
     def noise(self, duration: float) -> FloatArray:
-        """Return the white noise of a flight in time steps, shape (n_steps, 3) [1/s^(1/2)].
+        """Return the white noise of a flight per `NOISE_STEP`, shape (n_steps, 3) [1/s^(1/2)].
 
         The columns are for the filters along, across and upwards. With the same seed, the noise of
         a longer flight begins with the noise of a shorter flight.

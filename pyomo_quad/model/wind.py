@@ -137,7 +137,8 @@ def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
     For a formula, the mean is v_0. For a profile, it is the wind at the reference height; for
-    measured heights, that at 10 m; for a field, that over all places.
+    measured heights, that at 10 m above the ground (`USUAL_HEIGHT`); for a field, that over all
+    places.
     """
     wind = scenario.wind
     if wind.grid is not None:
@@ -278,7 +279,8 @@ def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
     The parameters are all mutable speeds of block `wind`, such as "wind.x.mean". The value of a
-    parameter over time is a function that returns zero.
+    parameter over time is a function that returns zero. A user's own wind without such parameters
+    is not changed.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -474,7 +476,7 @@ class _OverTime:
         return self._table(self._until(t, float(self._spline.x[self._rows][-1])))
 
     def _until(self, t: Any, end: float) -> Any:
-        # After the last measurement, the wind is constant.
+        # After the last measurement, the wind is constant, with a smooth transition.
         return end - smooth_positive(end - (t + self._offset), self._width)
 
     @cached_property

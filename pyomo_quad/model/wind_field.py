@@ -68,8 +68,8 @@ def smooth_positive(number: Any, width: Any) -> Any:
 def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[Expression]:
     """Declare the splines of a wind field and return the wind components at the vehicle [m/s].
 
-    If `wind.beyond` is "hold", place and time are clipped to the grid. The block `wind` of `m`
-    already has `wind_time` and `field_unit`.
+    They are along x, y and, if the field has it, z. If `wind.beyond` is "hold", place and time are
+    clipped to the grid. The block `wind` of `m` already has `wind_time` and `field_unit`.
     """
     b, is_held = m.wind, scenario.wind.beyond is Beyond.HOLD
     axes, tables = _filled(grid)
@@ -117,8 +117,8 @@ def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
     """Return axes and values of a wind field without gaps, with four or more points on each axis.
 
-    The first array axis of the values [m/s] is the wind component. They lack the factor
-    `wind.field_scale`.
+    The axes are x, y, z [m] and time [s], as far as the field has them. The first array axis of the
+    values [m/s] is the component. They lack the factor `wind.field_scale`.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
 
@@ -179,7 +179,7 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 def _controlled(
     scenario: Scenario,
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
-    """Return axes and control points of a wind field, and which points are in permitted cells.
+    """Return axes and control points of a wind field, and which are in cells open to flights.
 
     The first array axis of the control points [m/s] is the wind component. The other array axes
     have four points for each cell.
@@ -207,8 +207,8 @@ class ColumnWinds:
     x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
         Edges of the columns [m].
     low, high : ndarray, shape (2, nx, ny)
-        Bounds of the wind along x and y [m/s] in the cells that a flight may enter; inf and -inf
-        without such cells.
+        Bounds of the wind along x (index 0) and y (index 1) at all times and heights of the cells
+        that a flight may enter [m/s]; inf and -inf without such cells.
     is_open : ndarray of bool, shape (nx, ny)
         Whether a flight may enter the column.
     """

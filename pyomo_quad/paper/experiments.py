@@ -191,7 +191,8 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. A flight may be verified even if the solver did not converge.
+        Status of the solve. Without convergence, as may happen with f_r, the optimality of the
+        flight is unproven, but the flight may be verified.
     hover_energy_J : float
         Energy of a hover of equal duration, under the same power model [J].
     end_prices : mapping

@@ -44,7 +44,8 @@ class EnergyChain:
     copper_loss, shaft : float
         Loss in the motors' windings, and energy supplied to the rotors.
     constant_product : float
-        Product k_t k_v of a motor: 1 if it conserves energy, greater if it would create energy.
+        Torque constant k_t times speed constant k_v of a motor: 1 if the motor conserves energy,
+        greater if it would create energy.
     """
 
     drawn: float
@@ -109,7 +110,7 @@ def draw_loss_chain(
     """Draw the chain of losses of a flight, and below it the flight on the map of f_r.
 
     `bound` is the absolute rotor acceleration of the weakest braking with f_r = 0 [rad/s²]. A line
-    on the map shows the torque of this braking.
+    on the map shows the torque of this braking at each speed.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
     _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)

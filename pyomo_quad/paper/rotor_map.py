@@ -3,9 +3,10 @@
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the
 equations of the Pyomo model.
 
-The least energy is a lower bound, also for "chattering" flights: their rotors alternate arbitrarily
-fast between speeds and accelerations. Their mean power is at least the convex envelope of the
-power. The template `examination.md.j2` has the derivation.
+The least energy is a lower bound on the energy of every flight. The bound also holds for
+"chattering" flights, whose rotors alternate arbitrarily fast between speeds and accelerations:
+their mean power is at least the convex envelope of the power. The report's template
+`examination.md.j2` has the derivation.
 """
 
 from dataclasses import dataclass
@@ -138,13 +139,14 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     """Find the weakest braking of a rotor at which the polynomial f_r reaches zero.
 
-    The results are its absolute acceleration [rad/s²] and its rotor speed [rad/s]. If the permitted
-    braking is stronger, the energy of flights has no minimum.
+    The results are its absolute acceleration [rad/s²] and its rotor speed [rad/s]. If the rotors
+    may brake harder, the energy of flights has no minimum. `samples` is the number of speeds and of
+    accelerations.
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
     speed = np.linspace(0.0, scenario.limits.rotor_speed_max, samples)
-    # Up to 3000 rad/s².
+    # Braking up to 3000 rad/s² is searched.
     braking = -np.linspace(0.0, max(BOUNDS), samples)[::-1]
     sampled = rotor_map(dynamics, speed, braking, "power.efficiency_polynomial")
     zeros = [_last_zero(braking, row) for row in sampled.efficiency]

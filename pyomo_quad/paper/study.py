@@ -121,7 +121,7 @@ class PaperStudy:
     packs : tuple of PackFacts
         Batteries, compared with hovering.
     floors : dict
-        Result of `chattering_floors` for each interpretation of f_r.
+        Result of `chattering_floors` for each interpretation of the efficiency f_r.
     critical_acceleration, critical_speed : float
         Result of `critical_acceleration` [rad/s², rad/s].
     efficiency_map : EfficiencyMap

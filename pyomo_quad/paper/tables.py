@@ -228,8 +228,9 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """Return the table row that compares an adaptive controller's flight with the optimum.
 
-    The savings are 100 (E - E_min) / E and 100 (E - E_min) / (E - E_hover). E is the flight's
-    `settled_energy`, E_min the energy of the optimal plan, E_hover that of hovering.
+    `saving_percent` is 100 (E - E_min) / E, and `saving_of_excess_percent` is
+    100 (E - E_min) / (E - E_hover). E is the flight's `settled_energy`, E_min the energy of the
+    optimal plan, E_hover that of hovering.
     """
     case = flown.case
     optimum = find_flight(study.flights, case.experiment, case.power_model)

@@ -1,7 +1,7 @@
 """Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
-Each point of the polar is a trim: attitude, rotor speeds and power P at one airspeed. The air
-velocity is the ground velocity minus the wind.
+Each point of the polar is a trim: the attitude and the rotor speeds that keep the vehicle in level
+flight at one airspeed, with their power P. The air velocity is the ground velocity minus the wind.
 
 At ground speed g, the energy per metre is P / g. If flight time has a price c [J/s = W], the cost
 per metre is (P + c) / g.
@@ -92,10 +92,10 @@ class SteadyCurve:
     def best_over_ground(
         self, wind: float = 0.0, angle: float = 0.0, price_of_time: float = 0.0
     ) -> "GroundSpeed":
-        """Return the ground speed with the least cost per metre in a wind [m/s].
+        """Return the ground speed with the least cost per metre in a wind of speed `wind` [m/s].
 
-        `angle` [rad] is measured from the course to the direction toward which the wind blows; 0 is
-        a tail wind. The endurance is zero if the wind is too strong.
+        The cost is (power + `price_of_time` [W]) / ground speed. `angle` [rad] lies between the
+        course and the direction toward which the wind blows; 0 is a tail wind.
         """
         along, across = wind * np.cos(angle), wind * np.sin(angle)
 
@@ -178,11 +178,14 @@ class Polar:
     curves : tuple of SteadyCurve
         One curve for each payload, the scenario's own first.
     winds : DataFrame
-        Best ground speed for each wind.
+        Best ground speed for each wind speed `WIND`. `ANGLE` lies between the course and the
+        direction toward which the wind blows. Further columns are `GROUND_SPEED`, `AIRSPEED`,
+        `POWER`, `ENERGY_PER_METRE` (the least possible) and `RANGE`.
     reach : DataFrame
-        Greatest distance of a return flight on each course [m].
+        Greatest distance `REACH` from which the vehicle returns on one battery charge. Each row
+        has a course `COURSE`, and the ground speeds out and back in the mean wind.
     wind_m_s, wind_towards_rad : float
-        Speed and direction of the mean wind.
+        Speed of the mean wind, and direction toward which it blows, counter-clockwise from x.
     depth : float
         Usable fraction of the battery's capacity.
     """
@@ -192,7 +195,6 @@ class Polar:
     winds: pd.DataFrame
     reach: pd.DataFrame
     wind_m_s: float
-    # Direction toward which the wind blows, counter-clockwise from x.
     wind_towards_rad: float
     depth: float
 
@@ -233,8 +235,9 @@ def find_polar(scenario: Scenario) -> Polar:
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
     """Compute power and endurance of level flight at airspeeds from 0 in steps of 0.5 m/s.
 
-    `depth` is the usable fraction of the battery's capacity. Raises SolveError if the vehicle
-    cannot hover, or cannot fly at 0.5 m/s within its limits.
+    They end at the last one within the limits, or at 39.5 m/s. `depth` is the usable fraction of
+    the battery's capacity. Raises SolveError if the vehicle cannot hover, or fly at 0.5 m/s within
+    its limits.
     """
     speeds: list[float] = []
     powers: list[float] = []
@@ -281,7 +284,6 @@ def _is_allowed(scenario: Scenario, steady: SteadyFlight, trim: Trim) -> bool:
 
 def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
     rows = []
-    # The angle is that between the course and the direction toward which the wind blows.
     for wind in winds:
         for angle in np.linspace(0.0, np.pi, _DIRECTIONS // 2 + 1):
             best = curve.best_over_ground(wind, float(angle))

@@ -1,10 +1,12 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
-The vehicle flies straight at the speed of least energy per metre, in the wind at the start time. It
-climbs over terrain, and ignores keep-out zones.
+The vehicle flies straight and level at the ground speed of least energy per metre, in the wind at
+the start time. It climbs where terrain requires it, and ignores keep-out zones.
 
-If the usable charge lasts for R metres, each metre uses the fraction 1 / R. Climbs use further
-fractions. The reach ends where their sum is 1.
+The usable charge is that above the least allowed state of charge. If it lasts for R metres in the
+local wind, each metre uses the fraction 1 / R. Climbs and the way back use further fractions. The
+reach ends where the sum of all fractions is 1. It ends earlier if the terrain or the wind field
+ends, or if the wind is too strong.
 """
 
 import json
@@ -57,8 +59,9 @@ class Reach:
     has_return : bool
         Whether the charge must also suffice for the flight back to the start.
     boundary : DataFrame
-        Course [deg from x, counter-clockwise], distance and position of the boundary [m], and
-        whether wind field or terrain ends there.
+        Course `COURSE` from x, counter-clockwise; distance `REACH` and position `EAST`, `NORTH` of
+        the boundary. `IS_CUT` states whether wind field or terrain ends there, so that the vehicle
+        could fly farther.
     depth : float
         Usable fraction of the battery's capacity.
     """
@@ -72,8 +75,8 @@ class Reach:
 def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     """Compute how far a vehicle flies on one battery charge, on each course from its start.
 
-    If `has_return`, the charge includes the flight back. Raises SolveError if the vehicle cannot
-    hover, fly at 0.5 m/s within its limits, or climb over terrain.
+    If `has_return`, the charge must also suffice for the flight back. Raises SolveError if the
+    vehicle cannot hover, fly at 0.5 m/s within its limits, or climb over terrain.
     """
     planner = Planner()
     depth, steady = 1.0 - scenario.limits.least_charge, planner.steady_flight(scenario)
@@ -103,19 +106,19 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 
 
 def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> FloatArray:
-    """Return the heights z [m] on each course of a vehicle that climbs where it must.
+    """Return the heights z [m] of a vehicle that climbs where it must and never descends.
 
-    The vehicle never descends. `headings` are unit vectors of the courses, shape (n_courses, 3);
-    the result has shape (n_courses, n_steps).
+    `along` holds distances in equal steps [m], shape (n_steps,), and `headings` unit vectors, shape
+    (n_courses, 3). The result has shape (n_courses, n_steps).
     """
     start, airspace = np.array(scenario.mission.start.position), scenario.airspace
-    # The vehicle keeps the floor, the least allowed height above ground.
     found = np.full((len(headings), along.size), start[2])
     if airspace.ground is None:
         return found
     parts = int(np.ceil(_LOOKS_PER_CELL * (along[1] - along[0]) / airspace.ground.least_step))
     fine = np.linspace(0.0, along[-1], parts * (along.size - 1) + 1)
     under = start + fine[None, :, None] * headings[:, None, :]
+    # The vehicle keeps the floor, the least allowed height above ground.
     needed = start[2] - airspace.height_above_ground(under) + (airspace.floor or 0.0)
     return np.maximum(found, np.maximum.accumulate(needed, axis=1)[:, ::parts])
 
@@ -152,8 +155,8 @@ def _shares(
 ) -> FloatArray:
     """Return the fraction of the usable battery charge per metre over ground [1/m].
 
-    `winds` has shape (n_courses, n_steps, 2) [m/s]. If `has_return`, the fraction includes the
-    flight back over the same metre.
+    `winds` has shape (n_courses, n_steps, 2) [m/s], and `courses` shape (n_courses, 1) [rad]. If
+    `has_return`, the fraction includes the flight back over the same metre.
     """
     speed = np.hypot(winds[..., 0], winds[..., 1])
     angle = np.arctan2(winds[..., 1], winds[..., 0]) - courses
@@ -167,8 +170,8 @@ def _share_per_metre(
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return a function for the fraction of the usable charge per metre over ground [1/m].
 
-    It takes wind speed [m/s], and angle between course and wind [rad], and is infinite where the
-    wind is too strong.
+    It takes speed [m/s] and angle [rad] of the wind, as `SteadyCurve.best_over_ground` does. It is
+    infinite if the wind is too strong.
     """
     # The table spans the wind speeds of all later calls.
     low, high = float(winds.min()), float(winds.max())

@@ -66,8 +66,8 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 def polar_summary(polar: Polar) -> dict[str, Any]:
     """Return the main results of a polar as a dictionary for `summary.json`.
 
-    The results are those of the scenario's own payload. The reach is the greatest distance [m] of a
-    return flight.
+    The results are those of the scenario's own payload. The reach is the greatest distance [m] from
+    which the vehicle returns on one battery charge.
     """
     facts = _facts(polar.own)
     best = facts.pop("best")
@@ -127,8 +127,8 @@ _KILO = 1e-3
 def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
     """List the figures of a polar's report, each with its caption and drawing function.
 
-    They show power over airspeed, best ground speeds in wind, and the greatest distance of a return
-    flight.
+    They show power over airspeed, best ground speeds in wind, and the greatest distance of a flight
+    out and back.
     """
     power = (
         "Level, steady flight in still air for each mass carried. The dots mark the speeds of "

@@ -37,7 +37,7 @@ class Drawing:
     draw : callable
         Function without arguments that returns the matplotlib Figure.
     needs : tuple of str
-        Columns of the flight's table that the figure requires.
+        Columns of the flight's table that the figure requires; `write_study` does not check them.
     formats : tuple of str
         File endings of the figure.
     """
@@ -78,8 +78,8 @@ def write_study(
 ) -> tuple[Drawing, ...]:
     """Write a report: CSV tables, `summary.json`, figures and the text from a template.
 
-    `template` is a path below the package's folder, and ``values`` are its variables. The keys of
-    `tables` are file names. The result lists the figures that were drawn.
+    `folder` must exist. `template` is a path below the package's folder, and ``values`` are its
+    variables. The keys of `tables` are file names. The result lists the figures that were drawn.
     """
     wanted, tables = wanted_drawings(drawings, figures), tables or {}
     with drawn_meanwhile(wanted, folder):

@@ -33,7 +33,7 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
     """Draw two bar charts of flights: the total energies, and the energies above hovering.
 
     The first flight is the plan. If the durations differ, the right panel shows the energy of each
-    flight less that of the plan. `hover_energy_J` is for the plan's duration.
+    flight less that of the plan. `hover_energy_J` is that of hovering for the plan's duration.
     """
     height = _EDGES + _ROW * len(flights)
     figure = Figure(figsize=(FULL_WIDTH, height))
@@ -67,8 +67,8 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     """Draw the energy above hovering of each flight as a bar, in one panel for each scenario.
 
-    If the flights of a scenario differ in duration, all bars show total energies instead. Bars of
-    flights that missed the goal are pale.
+    If the flights of any scenario differ in duration, all bars show total energies instead. Bars of
+    flights that missed the goal are pale. `comparison` has the columns of `ComparisonColumn`.
     """
     # Energies above hovering are comparable only between flights of equal duration.
     is_above = has_equal_durations(comparison)

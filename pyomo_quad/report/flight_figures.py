@@ -117,8 +117,8 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
-    If all tables have the columns, further panels show the relaxation voltage (slow part of the
-    voltage drop) and the temperature.
+    Further panels show the relaxation voltage (slow part of the voltage drop) and the temperature.
+    Each is drawn only if the tables of all flights have its column.
     """
     further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
     figure, panels = panel_grid(
@@ -241,8 +241,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
     """Draw the energy above hovering of flights over time in a panel.
 
-    At a time t, this is the energy that a flight has used until t, less the energy of hovering
-    until t.
+    Energy above hovering at a time t is the energy used until t, less that of hovering until t.
     """
     axes.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
@@ -328,7 +327,7 @@ def draw_mesh(
     """Draw the refinement of a plan's mesh: the error estimate of each mesh, and the last mesh.
 
     `history` lists the meshes from the first to the last. Meshes without a finite estimate are not
-    drawn. `tolerance` is the relative error to be reached.
+    drawn. `tolerance` is the relative error to be reached, and `duration` that of the flight [s].
     """
     height = 2.6
     figure, (errors, elements) = full_width(
@@ -442,7 +441,8 @@ def draw_front(front: pd.DataFrame) -> Figure:
     """Draw the energy-time front of a mission: least energy against duration.
 
     Each point is an optimal flight for one price of time [J/s = W], the energy that may be spent to
-    shorten the flight by one second. A star marks the plan.
+    shorten the flight by one second. A star marks the plan. `front` has the columns of
+    `FrontColumn`.
     """
     figure, panels = panel_grid(1, 1, panel_height=2.4, legend_entries=2)
     (axes,) = panels.flat

@@ -28,8 +28,9 @@ _unfinished: set[Path] = set()
 def output_folder(path: str | Path) -> Iterator[Path]:
     """Context manager: write an output folder that appears complete or not at all.
 
-    The block receives an empty temporary folder, which replaces the final folder at its end. Raises
-    OutputError if that is impossible, or if the block raises an OSError.
+    The block receives a temporary folder, which replaces the final folder at its end. Raises
+    OutputError for an OSError, for files that this package did not write, and if another run is
+    writing the folder.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -60,11 +61,13 @@ _MARKED_WITHIN_BYTES = 65_536
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     """Context manager: write an output file that appears complete or not at all.
 
-    The block writes a temporary file that contains the text `mark`. An existing file is replaced
-    only if it contains `mark` or is empty. Otherwise, and for an OSError, OutputError is raised.
+    The block writes a temporary file with the text `mark` in the first or last 64 KiB. An existing
+    file is replaced only if it has `mark` there, or is empty. Otherwise, or for an OSError,
+    OutputError is raised.
     """
     final = final_folder(path)
     try:
+        # The content is copied to a character device or FIFO, such as /dev/stdout.
         if _is_stream(path):
             folder = Path(tempfile.mkdtemp(prefix="pyomo_quad-"))
             with _until_finished(folder):
@@ -122,7 +125,7 @@ def refuse_output_folder(path: str | Path) -> None:
     """Raise an error if a folder cannot be used for an output; write nothing.
 
     Raises OutputError if the folder cannot be written, or holds files that this package did not
-    write.
+    write. A command thus fails before a long solve.
     """
     final = final_folder(path)
     try:

@@ -87,8 +87,8 @@ FRONT_FIGURE = "front"
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     """List the figures of a plan, and of flights that are drawn together with it.
 
-    The first of `flights` is the plan. If the scenario has a forecast, the second must be a flight
-    in the true wind. Figures without finite data are left out.
+    The first of `flights` is the plan. If the scenario has a wind forecast, the second must be a
+    flight in the true wind. Figures are left out as in `flight_drawings`.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -115,8 +115,9 @@ def flight_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures that need only the tables of flights: paths, motion, energy, wind.
 
-    Figures without finite data are left out. `blowing` is a flight in the true wind. The waypoints
-    of `mission` must have times of passing (see `Scenario.lasting`).
+    A figure is left out if a column is missing or not finite for the plan, the first flight.
+    `hover_energy_J` is for the plan's duration. `blowing` flies in the true wind. The waypoints of
+    `mission` need times of passing (see `Scenario.lasting`).
     """
     frame = flights[0].frame
     finite = {name for name in frame if np.isfinite(frame[name]).all()}
@@ -150,8 +151,9 @@ def comparison_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The first flight is the plan. The result is empty if the plan's table has no positions. The
-    caller leaves out figures whose columns `Drawing.needs` are missing.
+    The first flight is the plan, and `hover_energy_J` is for its duration. The result is empty if
+    the plan has no positions. The caller must leave out a figure if a column of `Drawing.needs` is
+    missing.
     """
     # The table of a user's own Pyomo model may have no positions.
     if not set(_columns(POSITION)) <= set(flights[0].frame):
@@ -271,8 +273,8 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
 def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[str, str], str]:
     """Return the interactive player of a run's flights for the HTML report.
 
-    The results are the player's HTML by name of the figure below it, and the flights as JSON. Both
-    are empty if `drawn` lacks the figure of the paths.
+    The first result is the player's HTML, by the name of the figure below it. The second is the
+    flights as JSON. Both are empty if `drawn` lacks the figure of the paths.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""

@@ -28,7 +28,8 @@ def render_html(
     """Convert a report from Markdown into an HTML page without external resources.
 
     If `is_good`, the box with the main result is green. `pictures` (SVG or PNG data) and `views`
-    (HTML above figures) are given by figure name. `data` is the player's JSON, or empty.
+    (HTML above figures) are given by figure name. `data` is the JSON of the flights for the
+    interactive player, or empty.
     """
     parser = MarkdownIt("commonmark", {"html": False}, renderer_cls=_PageRenderer).enable("table")
     tokens = parser.parse(markdown)

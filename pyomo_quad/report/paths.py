@@ -249,8 +249,8 @@ def draw_space(
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose paths leave the figure because they are too far from the plan.
 
-    Let d be the diagonal of the box around the plan's path. A path leaves if its distance from the
-    plan at equal times exceeds max(d, 0.2 m).
+    The first flight is the plan. Let d be the diagonal of the box around its path. A path leaves if
+    its greatest distance from the plan at equal times exceeds max(d, 0.2 m).
     """
     return _further(flights, ASTRAY)
 

@@ -54,7 +54,7 @@ class DrawnFigure:
         """Write the figure to a file that ends in .png, .svg or .pdf, and return its path.
 
         Raises ScenarioError for another ending. Raises OutputError if the file cannot be written,
-        or is not a figure of this package.
+        or exists and is not a figure that this package wrote.
         """
         file = Path(path)
         refuse_other_endings(file, "path")

@@ -207,8 +207,8 @@ def write_compare_report(
 ) -> None:
     """Write the comparison of the flights of several scenarios: table, figure, text and page.
 
-    `folder` must exist and be empty. `comparison` has the columns of `ComparisonColumn`. `is_good`
-    states whether all plans were verified; the main result is then green.
+    `folder` must exist and be empty. `comparison` has the columns of `ComparisonColumn`. If
+    `is_good` (all plans were verified), the page shows the main result in green.
     """
     if comparison.empty:
         write_table(comparison, folder / COMPARISON_NAME)

@@ -163,8 +163,8 @@ def save_figure(
 ) -> None:
     """Draw a figure once and write it in one or more file formats.
 
-    The keys of `files` are "png", "svg" and "pdf". `creator` is stored in the metadata of each
-    file.
+    Each key of `files` is a format: "png", "svg" or "pdf". `creator`, the name of the program, is
+    stored in the metadata of each file.
     """
     with mpl.rc_context(HOUSE_STYLE):
         figure = _drawn(draw)
@@ -214,8 +214,9 @@ def full_width(
 ) -> tuple[Figure, Any]:
     """Make a figure as wide as the text of a report, with a grid of panels.
 
-    `height` is in inches, and `shape` counts rows and columns. The other arguments are those of
-    `Figure.subplots_adjust`. The panels are returned as by `Figure.subplots`.
+    `height` is in inches, and `shape` is (rows, columns). The other arguments are those of
+    `Figure.subplots_adjust`: fractions of the figure. The panels are returned as by
+    `Figure.subplots`.
     """
     figure = Figure(figsize=(FULL_WIDTH, height))
     axes = figure.subplots(*shape)
@@ -242,8 +243,9 @@ def panel_grid(
 ) -> tuple[Figure, np.ndarray]:
     """Make a figure of equal panels, with space for titles above them and a legend below.
 
-    `panel_height`, `gap` (between panels) and `left` are in inches. If `share_time`, the panels
-    have one horizontal axis. The panels are returned with shape (rows, columns).
+    `panel_height`, `gap` (between panels) and `left` (for tick labels) are in inches. A legend with
+    one entry is left out. If `share_time`, the panels share one horizontal axis. The panels have
+    shape (rows, columns).
     """
     right, top = 0.12, 0.28
     gap_y = 0.36 if share_time else 0.72
@@ -294,10 +296,9 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
     panels = tuple(panels)
     ends = np.array([axes.dataLim.intervaly for axes in panels])
     low, high = ends.min(), ends.max()
+    # The smallest span keeps a constant curve flat: its numerical noise does not fill the panel.
     middle, half = (low + high) / 2, max(high - low, smallest_span) / 2
     for axes in panels:
-        # The smallest span keeps a constant curve flat: its numerical noise does not fill the
-        # panel.
         axes.set_ylim(middle - half * (1 + _MARGIN), middle + half * (1 + _MARGIN))
         axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
 

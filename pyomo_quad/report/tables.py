@@ -74,8 +74,8 @@ def flight_summary(
 ) -> dict[str, Any]:
     """Summarise one controlled flight as a dictionary for `summary.json`.
 
-    `hover_energy_J` is for the duration of the mission. `wall_s` holds wall times [s] by phase of
-    the program, except the simulation.
+    `hover_energy_J` is the energy of hovering for the duration of the mission. `wall_s` holds wall
+    times [s] by phase of the program, except the simulation.
     """
     return {
         "scenario": scenario.name,
@@ -108,8 +108,9 @@ _STATUS_COLUMN = "status"
 def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable[object]]:
     """Return the trajectory table of a plan as columns by name.
 
-    By default there is one row for each mesh node. If the controls were not simulated, as after a
-    failed solve, a last column `status` holds the plan's status.
+    `rate_hz` is the number of rows per second; by default there is one row for each mesh node. If
+    the controls were not simulated, as after a failed solve, a last column `status` holds the
+    plan's status.
     """
     columns = plan.columns(plan.times(rate_hz))
     status: dict[str, Iterable[object]] = {}
@@ -290,8 +291,9 @@ _LARGEST_FILE = 256 * 1024 * 1024
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
     """Read summary and trajectory table of a report folder, and check the table.
 
-    The times increase and all values are finite. The summary is not validated. Raises ScenarioError
-    if a file is missing, too large or damaged.
+    The table has the time and columns of `ALL_COLUMNS` only. The times increase and all values are
+    finite. The summary is not validated. Raises ScenarioError if a file is missing, too large or
+    not valid.
     """
     # The folder may come from an unknown source, so its files are checked.
     file = folder / SUMMARY_NAME

@@ -47,11 +47,12 @@ class Figures:
     integration : float
         Relative and absolute tolerance of the simulation.
     spacing : float
-        Distance between checked places [m].
+        Distance between neighbouring places of the path at which zones are checked [m].
     """
 
-    # Bounds the difference between plan and least energy, and between simulation and plan. Also
-    # bounds the collocation error at which mesh refinement stops.
+    # Bounds the difference between the plan's energy and the least energy, and between the
+    # simulated energy and the plan's energy. Mesh refinement stops when the collocation error of
+    # the states is at most this tolerance.
     energy: float
     # The simulation has no feedback. The deviation of a state x [m, m/s or rad] is divided by
     # max(abs(x), 1). For a waypoint, `miss` bounds the distance [m] outside its radius.
@@ -61,9 +62,10 @@ class Figures:
     # About 3 deg/s at `quick`, and 0.5 deg/s at `standard`. A brief turn at these rates changes
     # neither the path nor the energy.
     turning: float
-    # A relative tolerance is wide at a high limit: 1 % of a ceiling at 50 m is half a metre. At the
-    # level `proof`, `breach` alone is strict enough (5 mm at 50 m), and `intrusion` is infinite.
-    # Such limits are the ceiling or the distance from a zone. They must satisfy `breach`, too.
+    # Airspace limits are the distance from a zone, floor, ceiling and fence. A flight must satisfy
+    # both `breach` and `intrusion`, because a relative tolerance is wide at a high limit: 1 % of a
+    # ceiling at 50 m is half a metre. At the level `proof`, `breach` alone is strict enough (5 mm
+    # at 50 m), and `intrusion` is infinite.
     intrusion: float
     # In a flight without feedback, errors grow about a millionfold in half a minute. The value is
     # therefore far below the other tolerances.

@@ -59,7 +59,7 @@ class Ball(NamedTuple):
     radius : float
         Radius, or half the thickness of a slab [m].
     normal : tuple of float or None
-        Horizontal unit vector across a polygon's edge.
+        Horizontal unit vector normal to a polygon's edge; None for all other balls.
     """
 
     # Empty for a slab along the normal of a polygon's edge.
@@ -350,7 +350,7 @@ class TerrainGrid(Part):
         """Return a smooth surface close to the ground, from which a height limit is measured.
 
         If `side` is 1, the surface is nowhere below the ground, and the floor is measured from it.
-        If `side` is -1, it is nowhere above, for the ceiling.
+        If `side` is -1, it is nowhere above the ground, and the ceiling is measured from it.
         """
         return _surface(self, side)
 

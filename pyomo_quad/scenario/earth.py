@@ -98,8 +98,9 @@ def local_place(
 ) -> list[float]:
     """Convert a place of a scenario file from latitude and longitude [deg] to metres.
 
-    `count` is the number of coordinates, 2 or 3. The third is written as `altitude` above the sea
-    or `height` above the origin [m]. Raises ScenarioError, which begins with `where`.
+    `count` is the number of coordinates, 2 or 3. The third is `altitude` above the sea or `height`
+    above the origin [m]. Raises ScenarioError, which begins with `where`, if the place is not
+    valid or `origin` is None.
     """
     keys = (_LATITUDE, _LONGITUDE, *((_ALTITUDE, _HEIGHT) if count == 3 else ()))
     strange = next((key for key in written if key not in keys), None)

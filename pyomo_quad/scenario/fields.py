@@ -164,7 +164,7 @@ def quantity(
     """Declare a field of a scenario's table, with unit, meaning and allowed values.
 
     `unit` is a Pyomo unit string: ``"1"`` for a plain number, ``""`` for texts and tables.
-    ``limits`` are constraints of pydantic, such as ``gt=0``. Without `default` the field is
+    ``**limits`` are constraints of pydantic, such as ``gt=0``. Without `default` the field is
     required.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
@@ -282,8 +282,8 @@ _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 def parse_path(text: str) -> FieldPath | None:
     """Split a field's path such as `mission.goal.position[2]` into keys and list indices.
 
-    The result is ``("mission", "goal", "position", 2)``, or None if the text is no path or too
-    long.
+    This example gives ``("mission", "goal", "position", 2)``. The result is None if the text is not
+    a path, or longer than the path of any field.
     """
     steps: list[str | int] = []
     for part in text.strip().split("."):

@@ -2,8 +2,8 @@
 
 The model keeps each place of the flight on the outer side of at least one face's plane. Some places
 inside a concave zone would satisfy this condition. A concave polygon is therefore divided into
-convex zones NAME-1, NAME-2 and so on. A concave fence becomes its convex hull, with keep-out zones
-fence-1, fence-2 and so on.
+convex zones NAME-1, NAME-2 and so on. A concave fence becomes its convex hull. The parts of the
+hull outside the fence become keep-out zones fence-1, fence-2 and so on.
 """
 
 import json
@@ -28,8 +28,8 @@ _Ring = list[tuple[float, float]]
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario's table `airspace` with concave polygons divided into convex parts.
 
-    A concave fence becomes its convex hull, with keep-out zones outside the fence. Invalid polygons
-    are kept for the validation, which rejects them.
+    A concave fence becomes its convex hull, and the parts of the hull outside the fence become
+    keep-out zones. Invalid polygons are kept for the validation, which rejects them.
     """
     divided = dict(airspace)
     zones: list[Any] = []
@@ -85,9 +85,9 @@ def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
     """
     from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_polygon_of`
 
+    # The polygon is triangulated. Neighbouring parts are merged as long as their union is convex.
     parts = [Polygon(t.exterior) for t in constrained_delaunay_triangles(polygon).geoms]
     is_merged = True
-    # The polygon is triangulated. Neighbouring parts are merged if their union is convex.
     while is_merged:
         is_merged = False
         for first in range(len(parts)):
@@ -137,8 +137,9 @@ def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `i
 def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> list[dict[str, Any]]:
     """Read keep-out zones from a GeoJSON file (RFC 7946) in longitude and latitude (WGS 84).
 
-    Each zone is a table `airspace.keep_out`, as in a scenario file. Raises ScenarioError, which
-    begins with `place`, if the file or a feature is not valid.
+    Each zone is a table `airspace.keep_out`, as in a scenario file. A concave polygon gives several
+    zones. Raises ScenarioError, which begins with `place`, if the file is not valid or `origin` is
+    None.
     """
     features = _features(file, place)
     if origin is None:

@@ -64,7 +64,7 @@ class Quantity:
     names : tuple of tuple of str
         Names of each component in NetCDF.
     columns : tuple of str
-        Column of each component in a table.
+        Column of each component in a CSV or Parquet table.
     needed : int
         Number of required components.
     units : mapping of str to float
@@ -106,8 +106,9 @@ class Gridded(NamedTuple):
 def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
     """Read a quantity on a rectilinear grid from a NetCDF, CSV or Parquet file, in SI units.
 
-    Longitudes and latitudes stay in degrees, and missing values are NaN. Raises ScenarioError,
-    which begins with `place`, if the file cannot be read or has no rectilinear grid.
+    NetCDF follows the CF conventions. A table has one row for each grid point. Longitudes and
+    latitudes stay in degrees, and missing values are NaN. Raises ScenarioError, which begins with
+    `place`.
     """
     suffix = file.suffix.lower()
     try:
@@ -126,8 +127,9 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Gridded:
     """Convert the axes of gridded data to metres from the mission's origin.
 
-    Without `origin`, altitudes above the sea stay unchanged. Raises ScenarioError, which begins
-    with `place`, if angles are not valid or the grid is too large for the conversion.
+    Axes in degrees need `origin`. Without it, altitudes above the sea stay unchanged. Raises
+    ScenarioError, which begins with `place`, if axes in degrees are not valid or the grid is too
+    large for the conversion.
     """
     axes = dict(field.axes)
     if field.is_above_sea and origin is not None:

@@ -52,7 +52,8 @@ def load_scenario(
     Raises
     ------
     ScenarioError
-        If the file cannot be read or fields are invalid. The message has one line for each field.
+        If the file cannot be read or fields are invalid. The message has one line for each invalid
+        field.
     FeasibilityError
         If the rotors cannot lift the vehicle.
 

@@ -336,10 +336,10 @@ class Mission(Part):
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return new values of the table `mission` that make a free duration fixed [s].
+        """Return the fields of the table `mission` that change if a free duration becomes fixed.
 
-        The limits on the duration and the price of time get their defaults. The aim of least time
-        becomes the aim of least energy.
+        `duration` is the fixed duration [s]. The limits on the duration and the price of time get
+        their defaults. The aim of least time becomes the aim of least energy.
         """
         free = Mission.model_fields
         # These values, and the aim of least time, are allowed only with a free duration.

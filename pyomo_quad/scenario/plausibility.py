@@ -187,8 +187,8 @@ class _Hover:
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
     """Return the shaft power and the ideal power of a vehicle in hover, or None.
 
-    The power model `momentum` gives None, because its power is never below the ideal power. Coaxial
-    rotors without a given radius also give None.
+    The result is None for the power model `momentum`, and for coaxial rotors without a given
+    radius.
     """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors

@@ -386,7 +386,7 @@ class ScenarioSource:
     document : mapping
         The scenario's own tables, without overrides.
     assignments : mapping
-        Value of each overridden field, by path.
+        Value of each overridden field, by path, in the order of the overrides.
     label : str
         Name of the overrides, such as ``--set``.
     is_resolved : bool
@@ -426,8 +426,9 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    The validation later adds defaults. Raises ScenarioError if an override, a place on earth or a
-    file of zones or terrain is not valid; other errors are in `Resolution.complaints`.
+    The validation later adds defaults. Raises ScenarioError if an override, a place on earth, a
+    direction `from`, or a file of zones or terrain is not valid. Other errors are in
+    `Resolution.complaints`.
     """
     # Overrides of list items need the complete lists, and are applied later.
     own = _with_assignments(origin, origin.document, indexed=False)
@@ -540,8 +541,8 @@ class _Filled:
         Without the key, a default entry is added. The default battery is the vehicle's own pack.
         """
         use = (*place, "use")
-        # A stored scenario already contains the values of its library entries. It is completed only
-        # if an override sets the key.
+        # A stored scenario already contains the values of its library entries. An entry is added
+        # only if an override sets the key.
         if self.origin.is_resolved and use not in self.origin.assignments:
             return
         written = table_at(self.own, *place)
@@ -716,8 +717,8 @@ class _Filled:
                 self.put_read((*place, "series"), series, wind["file"])
             if series["times"] and isinstance(offset, int | float):
                 known.append((series["times"][-1] - offset, f"file {shown(wind['file'])[1:-1]}"))
-        # A free duration without upper limit must end with the first of the winds. Their ends are
-        # counted from the start of the mission.
+        # A free duration without upper limit gets the earliest end of a wind as its limit. The ends
+        # are counted from the start of the mission.
         if field == _LONGEST and longest is None and known:
             self.put(field, *min(known))
 

@@ -155,8 +155,8 @@ class Scenario(Part):
         """Origin of each field's value, by dotted path.
 
         An origin is ``default``, ``scenario`` (the scenario file), ``library NAME``, ``--set`` (an
-        override) or ``file NAME`` (a data file). For a derived value it is a text such as ``1 /
-        torque_constant``.
+        override) or ``file NAME`` (a data file). For a derived value it is a text such as
+        ``1 / torque_constant``.
         """
         everywhere = {spell(path): "default" for path, _ in leaves(self.model_dump())}
         return MappingProxyType(everywhere | dict(self._provenance))
@@ -266,8 +266,8 @@ class Scenario(Part):
     def cruising(self, settings: CruiseSettings) -> Self:
         """Return a copy of the scenario with other settings of the baseline flight `cruise`.
 
-        `with_values` and `replace` start from the scenario file. A later call of one of them on the
-        copy may therefore undo the change.
+        The flight `cruise` imitates the flight of an autopilot. A later call of `with_values` or
+        `replace` on the copy may undo the change, because both start from the scenario file.
 
         Parameters
         ----------
@@ -412,8 +412,8 @@ class Scenario(Part):
     def _check(self, source: str) -> None:
         """Raise an error if fields that are valid separately contradict each other.
 
-        It is a FeasibilityError if the only fault is that the rotors cannot lift the vehicle, a
-        ScenarioError otherwise.
+        The error is a FeasibilityError if the only fault is that the rotors cannot lift the
+        vehicle, and a ScenarioError otherwise. Its lines begin with `source`.
         """
         lines = [
             *self._power_complaints(),

@@ -3,8 +3,9 @@
 Between the grid points the ground is bilinear. A `Surface` is a cubic spline nowhere below the
 ground, or nowhere above it.
 
-B-spline coefficients are raised until all Bernstein coefficients of (spline minus ground) are at
-least 0 in every cell. For a surface below the ground, all heights are multiplied by -1. Proof: see
+A surface above the ground begins as the cubic spline through the heights. Its B-spline coefficients
+are raised until, in every cell, all Bernstein coefficients of (spline minus ground) are at least 0.
+A surface below the ground is -1 times the surface above the heights multiplied by -1. Proof: see
 docs/theory/homing.md.
 """
 
@@ -106,7 +107,8 @@ def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: Array
     """Return, for each point of a grid, a height that clears the terrain on a straight flight home.
 
     At each place, the bilinear interpolation of the result [m] is at least as high as all ground on
-    the straight line to `home`. Derivation: docs/theory/homing.md, eq. (7).
+    the way to `home`. `heights` have shape (len(x), len(y)) [m]. Derivation:
+    docs/theory/homing.md, eq. (7).
     """
     from scipy.ndimage import maximum_filter  # noqa: PLC0415  see `_through`
 

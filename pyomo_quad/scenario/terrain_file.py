@@ -44,14 +44,14 @@ _LOWEST, _HIGHEST, _ = GLOBE["altitude"]
 def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
     """Read and check the heights of the ground on a grid, from NetCDF, CSV or Parquet.
 
-    The result holds the fields of `airspace.ground`. With `origin`, the file has altitudes above
-    the sea. Raises ScenarioError, which begins with `place`, if the file is not valid.
+    The result holds the fields of `airspace.ground`. Heights in the file are above the sea with
+    `origin`, else above z = 0. Raises ScenarioError, which begins with `place`, if the file is not
+    valid.
     """
     read = read_gridded(file, place, _HEIGHT)
     field = in_metres(read, origin, place)
     x, y = (field.axes[axis] for axis in PLACE_AXES)
     check_axes(field.axes, place)
-    # The file has altitudes above the sea if `origin` is given, else heights above z = 0.
     (heights,) = field.components
     if heights.size > _MOST_HEIGHTS:
         refuse(

@@ -226,7 +226,7 @@ class WindGrid(Part):
         """Wind velocity at the grid points [m/s]; NaN where the wind is missing.
 
         The factor `wind.field_scale` is not applied. The first array axis is the direction (+x, +y
-        and, if known, +z). The others are `axes`.
+        and, if known, +z). The others are those of `axes`, in this order.
         """
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
@@ -235,7 +235,7 @@ class WindGrid(Part):
         """Position of the grid's edges by name ("west", "east" and so on).
 
         A position is (axis, end, coordinate [m]). Axis 0 is x, 1 is y, 2 is z. The end is -1 at the
-        lower and 1 at the upper end.
+        lower and 1 at the upper end. Without heights, there is no "bottom" and "top".
         """
         names = (("west", "east"), ("south", "north"), ("bottom", "top"))
         return {
@@ -248,8 +248,9 @@ class WindGrid(Part):
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
         """Return whether the wind at given places and times is known, shape (n,).
 
-        The place must be inside the grid, and the wind at the nearest grid point known. `places`
-        have shape (n, 3) [m]. In `times` [s], the flight starts at `wind.time_offset`.
+        Place and time must be inside the grid, and the wind at the nearest grid point known.
+        `places` have shape (n, 3) [m], and `times` [s] shape (n,) or (). The flight starts at the
+        time `wind.time_offset`.
         """
         import numpy as np  # noqa: PLC0415  see `components`
 
@@ -517,8 +518,8 @@ def with_coupling(
 ) -> dict[str, Any]:
     """Set the default of the wind's coupling, the way in which the wind acts on the vehicle.
 
-    If the vehicle has drag coefficients, the wind acts through the drag, else as in eq. (9) of
-    Yacef et al. `own` excludes values of the library.
+    If the vehicle has drag coefficients, the wind acts through the drag. Otherwise the wind is an
+    acceleration, as in eq. (9) of Yacef et al. `own` excludes values of the library.
     """
     wind = tables.get("wind")
     if not isinstance(wind, Mapping):

@@ -44,8 +44,8 @@ _WIND = Quantity(
 def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
     """Read and check a wind field [m/s] over places, heights and times from NetCDF, CSV or Parquet.
 
-    The result holds the fields of `wind.grid`. A grid on earth needs `origin`. Raises
-    ScenarioError, which begins with `place`, if the file is not valid.
+    The result holds the fields of `wind.grid`. A grid by latitude and longitude needs `origin`.
+    Raises ScenarioError, which begins with `place`, if the file is not valid.
     """
     axes, components, *_ = in_metres(read_gridded(file, place, _WIND), origin, place)
     check_axes(axes, place)

@@ -32,9 +32,9 @@ def read_wind_file(
 ) -> dict[str, tuple[float, ...]]:
     """Read and check a measured wind over time, height or both, from a CSV file.
 
-    `longest` is the field that limits the mission's duration, with its value [s]. The mission
-    starts at `time_offset` [s]. Raises ScenarioError, which begins with `where`, if the wind is
-    invalid.
+    The result holds the fields of `wind.series`. `longest` is path and value [s] of the field that
+    limits the duration. `time_offset` [s] is the file's time at the mission's start. Raises
+    ScenarioError, which begins with `where`, if the wind is not valid.
     """
     place = f"{where} = {shown(file.name)}"
     keys, rows = _read_rows(file, place)

@@ -299,7 +299,8 @@ class _Mission:
     ) -> Flown:
         """Describe a flight in RotorPy under a variant of its controller SE3, for later simulation.
 
-        `name` is the variant's name in the result table. `stiffness` is a factor on its gains.
+        `name` is the variant's name in the result table. `stiffness` is a factor on the gains of
+        the controller.
         """
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
@@ -352,8 +353,8 @@ def _track(flight: Flight, plan: Plan) -> Track:
 def _small(paper: Scenario, name: str) -> Scenario:
     """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
 
-    `name` is RotorPy's parameter set. `paper`, the mission of Yacef et al., gives all other
-    settings.
+    `name` is RotorPy's parameter set. Settings neither of the vehicle nor of this mission are those
+    of `paper`, the mission of Yacef et al.
     """
     said = {
         path.replace("fields.", "vehicle.", 1): value
@@ -411,8 +412,8 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
-    Its acceleration is a - F / m: a is that of `path`, m the mass, F the force on the level
-    vehicle.
+    The acceleration is a - F / m: a is that of `path`, m the mass, F the force on the level vehicle
+    at the velocity of `path`.
     """
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
@@ -478,7 +479,7 @@ def _rows(
     """Simulate flights; yield each flight's table row, its description, and the flight itself.
 
     The flight is None if it went out of control. Each flight is compared with the declared
-    vehicle's flight, which must precede it in `flights`.
+    vehicle's along the same reference, which must precede it in `flights`.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:

@@ -57,16 +57,17 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The rows have the columns `AimColumn`, the plan of least energy first. The table is empty if the
-    comparison does not apply, or the other solve finds no better plan.
+    The rows have the columns `AimColumn`, the plan of least energy first. The table is empty if
+    no comparison applies, or if the solve for the other objective fails, is stopped, or ends at a
+    worse plan.
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
-    # No comparison for a plan that is not confirmed by simulation, a user's own vehicle model, or
-    # the attitude equations of Yacef et al.
+    # No comparison for a plan that is not confirmed by simulation, for a user's own vehicle model,
+    # or for the attitude equations of Yacef et al.
     if not plan.is_verified or scenario.model is not None or is_of_paper:
         return AimColumn.of_rows(())
-    # Neither for the objective of least time.
+    # No comparison for a plan of least time.
     if scenario.mission.aim not in _AIMS:
         return AimColumn.of_rows(())
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)

@@ -4,8 +4,9 @@ A leg is the straight line between two waypoints. An autopilot's settings are it
 acceleration and jerk, which are equal on all legs. The module `flight.routes` computes the motion
 along the legs.
 
-A plan's energy saving is measured against an autopilot. For a fair comparison, the settings
-are tuned for least energy (Nelder-Mead).
+A plan's energy saving is measured against an autopilot. For a fair comparison, the settings are
+tuned for least energy by Nelder and Mead's method. In the search, a flight that breaks a limit of
+the vehicle or misses the goal is penalised.
 """
 
 from dataclasses import dataclass, replace
@@ -84,9 +85,10 @@ _CONFIRMED = 4
 class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
-    The flight is simulated at reduced accuracy. If the vehicle does not arrive, `duration_s` is the
-    whole simulated time. `energy_J` then leaves out the energy from the end of the flight to the
-    exact goal state. The same holds without a plan, or if the wind has a forecast.
+    The flight is simulated at reduced accuracy. `reached` holds values of the reference trajectory.
+    If the vehicle does not arrive, `duration_s` is the whole simulated time. `energy_J` then leaves
+    out the energy from the end of the flight to the exact goal state. The same holds without a
+    plan, or if the wind has a forecast.
     """
 
     settings: CruiseSettings
@@ -116,7 +118,7 @@ class Tuning:
         Flight with the best settings, to full accuracy.
     settings : CruiseSettings
         The best settings. If the legs are too short to reach the limit on speed or acceleration,
-        the largest value that the flight reaches replaces the limit.
+        the largest value of the reference trajectory replaces the limit. The flight is the same.
     tried : tuple of TriedCruise
         All settings that the search tried, in the order tried.
     """
@@ -131,8 +133,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, in the actual wind.
 
-    At the goal the vehicle hovers until it arrives, for at most `SETTLINGS_S[-1]` seconds.
-    ScenarioError is raised if there is no route, SolveError if the flight gets out of control.
+    After the reference trajectory, the vehicle waits at the goal until arrival, for at most
+    `SETTLINGS_S[-1]` seconds. ScenarioError is raised if zones block the route or all places are
+    equal, SolveError if the flight gets out of control.
     """
     longest, dynamics = _with_longest_wait(scenario, settings, planner)
     flown = fly_reference(longest, Reference.CRUISE, dynamics=dynamics).flown
@@ -186,7 +189,7 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
     """Tune an autopilot for least energy, and fly the result.
 
-    ScenarioError is raised if there is no route, or no flight with one of the four best settings
+    ScenarioError is raised as in `fly_cruise`, and if no flight with one of the four best settings
     arrives within the limits. SolveError is raised if one of these flights gets out of control.
     """
     tried = _search(scenario, plan, planner)

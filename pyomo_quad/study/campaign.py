@@ -4,8 +4,8 @@ On one charge, each flight starts with the state of charge, relaxation voltage a
 the battery has at the end of the flight before it. The battery neither rests between flights nor
 ages.
 
-A charge ends when the next flight has no plan, for example because it would leave less charge than
-the reserve.
+The flights on one charge end when the next flight has no plan. It would, for example, leave less
+charge than the reserve, or the voltage would fall below its limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -94,8 +94,8 @@ class Campaign(Summarised):
     flights : tuple of CampaignFlight
         All flights, in order.
     endings : tuple of str
-        Reason why the flights on each charge ended: why the next flight had no plan, or
-        `MOST_FLIGHTS` flights were flown.
+        Reason in words why the flights on each charge ended: why the next flight had no plan, or
+        that the number of flights reached `MOST_FLIGHTS`.
     """
 
     missions: tuple[Scenario, ...]
@@ -137,7 +137,8 @@ def fly_campaign(
     """Plan missions in turn, again and again, until the battery allows no further flight.
 
     `planners` has one planner for each mission. ScenarioError is raised if the missions have
-    different batteries, or if a mission has a user's own model (scenario field `model`).
+    different batteries, or if a mission has a user's own model (scenario field `model`). Such a
+    model may lack the state of charge.
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))

@@ -43,18 +43,19 @@ class ThrustMoments:
     """Two weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
 
     See docs/theory/bound.md, eqs. (2) and (4). The weights are 1 and (k(t) - mean of k) / duration,
-    with k(t) of eq. (3). The drag must be linear in the velocity.
+    with k(t) of eq. (3). The drag must be linear in the velocity. `displacement` is the vector from
+    start to goal, m; `duration` is in s.
 
     Attributes
     ----------
     widths : ndarray, shape (n,)
-        Weights of quadrature nodes, s.
+        Weights of the quadrature nodes, s.
     weights : ndarray, shape (2, n, 3)
-        Both weights at the nodes.
+        Both weights of the thrust at the nodes, along each axis.
     demanded : ndarray, shape (2, 3)
-        Required integrals, N s.
+        Values of both integrals that the mission requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
-        Required mean thrust, N.
+        Mean thrust vector that the mission requires, N.
     """
 
     def __init__(self, demand: MomentumDemand, displacement: FloatArray, duration: float) -> None:
@@ -143,7 +144,7 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the integrals of the thrust that keeps the vehicle at rest, with weights `_weights`.
+    """Return the integrals, weighted by `_weights`, of the thrust that keeps the vehicle at rest.
 
     They are the terms with S in docs/theory/bound.md, eqs. (2) [N s] and (4) [N s^2]. `rate` is the
     drag coefficient over mass [1/s].
@@ -196,13 +197,14 @@ class Certificate:
     lower_bound_J : float or None
         None if no bound is known.
     hover_energy_J : float
-        Energy of hovering in still air for the given or estimated duration.
+        Energy of hovering in still air for the given duration, or for the estimated one if the
+        duration is free.
     applies : bool
         Whether a bound is known.
     reason : str
-        Basis of the bound, or why none is known.
+        Sentence on the basis of the bound, or on why none is known.
     durations_s : tuple of float
-        Durations that the bound covers.
+        Least and greatest duration that the bound covers.
     """
 
     lower_bound_J: float | None
@@ -247,7 +249,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
     """Return the largest known lower bound on the energy of a mission [J], and its basis in words.
 
-    If no bound is known, the result is None and the reason.
+    If no bound is known, the first result is None and the text is the reason.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -290,8 +292,8 @@ def _bound_as_a_whole(
 ) -> _Found:
     """Return a lower bound on the energy of flights of fixed duration, without the waypoints.
 
-    `why_not_by_legs` completes the sentence on waypoints, a free duration or a release, for which
-    this function has no bound.
+    `why_not_by_legs` ends the sentence which says why waypoints are left out, or why a free
+    duration or a changing mass has no bound.
     """
     mission = scenario.mission
     if mission.released > 0.0:
@@ -441,8 +443,8 @@ def _bound_of_places(
 ) -> float:
     """Return a lower bound on the energy of any flight through a wind field [J].
 
-    `_has_places` must be true. The result is minus infinity if no bound was found. See
-    docs/theory/bound.md, eq. (25).
+    `_has_places` must be true for the mission. `pairs_in`, `winds` and `power` are those of
+    `bound_by_places`. The result is minus infinity if no bound was found.
     """
     mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
     ends = np.array([mission.start.position, mission.goal.position])
@@ -455,8 +457,8 @@ def _has_places(
 ) -> bool:
     """Return whether the function `_bound_of_places` can bound the energy of a mission.
 
-    It needs a single leg between exact points, horizontal winds that differ, and a vertical thrust
-    `standing`.
+    It needs a single leg between exact points, horizontal winds that differ, `wind.beyond` other
+    than "hold", and a vertical thrust `standing`.
     """
     return (
         scenario.wind.beyond is not Beyond.HOLD

@@ -158,8 +158,8 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
     """Return the highest rotor speed [rad/s] at which chattering saves power.
 
-    Chattering alternates acceleration and braking, each at most `limit` [rad/s^2]. None if it never
-    takes less power than a steady speed.
+    Chattering alternates acceleration and braking, each at most `limit` [rad/s^2]. The result is
+    None if chattering saves power at none of the speeds tried.
     """
     hover = steady.hover_speed
     # Where chattering takes less power, a plan of least energy chatters. The plan then depends on
@@ -297,9 +297,10 @@ def _too_short(
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
     """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
 
-    The mission's own duration is known to be too short. The result is infinite if none is found.
+    The mission's own duration is known to be too short. The result is infinite if no duration tried
+    is long enough.
     """
-    # After the end of the mission, a measured wind is unknown.
+    # After the end of the mission, a measured wind is unknown: no longer duration can be tried.
     if scenario.wind.series is not None:
         return inf
 

@@ -92,7 +92,7 @@ class ComparisonColumn(TableColumn):
     A simulated flight ends near the goal. Its owed energy is the estimated energy from there to the
     exact goal state. With E = energy + owed energy of a flight, and E_plan that of the plan:
 
-    - excess = E - energy of hovering as long;
+    - excess = E - energy of hovering for the duration of the flight;
     - gap = 100 (E - lower bound) / E;
     - saving = 100 (E - E_plan) / E;
     - saving of excess = 100 (E - E_plan) / excess.
@@ -143,9 +143,9 @@ def compare_flights(
 ) -> "pd.DataFrame":
     """Compare the flights of one mission in a table of the columns `ComparisonColumn`.
 
-    `scenario` has the duration and passing times of the plan. The plan's flight has the name
-    "optimal". Undefined values are NaN. If the scenario sets `limits.reserve`, the column `RESERVE`
-    is added.
+    `scenario` is the plan's `mission_flown`, and `hover_energy_J` the energy of hovering for its
+    duration. The plan's flight has the name "optimal". Undefined values are NaN. If the scenario
+    sets `limits.reserve`, the column `RESERVE` is added.
     """
     # With a forecast, the plan was made for the forecast wind, but bound and other flights are of
     # the actual wind.

@@ -1,7 +1,8 @@
 """Estimate of the processor time that planning a mission takes, and of each feature's part in it.
 
 Ipopt's iterations take most of the time. The time of an iteration is proportional to the number of
-unknowns: variables per collocation point times points of the mesh. There may be several solves.
+unknowns: variables per collocation point times points of the mesh. The solve may be repeated for
+several meshes, routes and orders of the waypoints.
 
 The constants were measured. The command `python -m tests.benchmarks resolve missions` compares
 estimated with measured times.
@@ -61,7 +62,8 @@ class Counts:
     routes : int
         Routes round keep-out zones; 0 if no zone is in the way.
     legs : int
-        Legs planned alone to find the best order of the waypoints; 0 for a given order.
+        Flights between two waypoints that are planned alone to find the best order; 0 for a given
+        order.
     is_free, has_wind_table, has_wind_field : bool
         Whether the duration is free, the wind is a measured table, the wind is a field.
     cells : int
@@ -90,8 +92,6 @@ class Counts:
         slower = 1.0 + _TABLE * self.has_wind_table + _FIELD * self.has_wind_field
         each = _PER_UNKNOWN_S * self.unknowns * slower
         rough = each * iterations * elements * self.degree
-        # The solve is repeated for finer meshes, for routes round keep-out zones and for orders of
-        # the waypoints.
         meshes = _FIRST_MESHES + _PER_DECADE * max(0.0, -log10(self.tolerance))
         refined = min(max(self.routes, 1), _MOST_REFINED)
         coarse = self.routes + (BEST_FEW if self.legs else 0)

@@ -387,8 +387,7 @@ class InTurbulence:
 
 
 # Total simulated time [s] of the flights in turbulence of a run, which takes less than half a
-# minute, and largest number of flights. Their number is this time over the plan's
-# duration.
+# minute, and largest number of flights. Their number is this time over the plan's duration.
 _FLOWN_S, _MOST_FLIGHTS = 10_000.0, 1000
 # Seed of these flights. It differs from the seed of the flights from which the plan's margins were
 # found.

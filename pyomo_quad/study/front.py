@@ -48,8 +48,9 @@ def energy_time_front(
 ) -> "pd.DataFrame":
     """Return energy and duration of a free-duration mission for several prices of time.
 
-    The columns are `FrontColumn`. The table is empty if the duration is fixed or the plan is not
-    verified. Flights other than the plan may break limits between mesh points.
+    The columns are `FrontColumn`; the shortest flight is first. The table is empty if the duration
+    is fixed or the plan is not verified. Flights other than the plan may break limits between mesh
+    points.
     """
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return FrontColumn.of_rows(())

@@ -38,15 +38,15 @@ class Headline:
     battery_percent : float or None
         Charge used, in per cent of the capacity; None without a battery.
     rival : mapping or None
-        Row of the flight from `rival_of`.
+        Row of the comparison table from `rival_of`; None if no flight qualifies.
     settings : CruiseSettings or None
         Settings of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
-        The plan's risk with its test flights.
+        The plan's risk with its test flights; None without `mission.risk`.
     often : InTurbulence or None
-        Many flights in turbulence; if given, the headline uses them, not the test flights.
+        Many flights in turbulence. If given, the headline uses them, not the test flights.
     is_compared : bool
-        Whether the plan arrives and keeps all limits.
+        Whether the plan arrives and keeps all limits, so that flights can be compared with it.
     """
 
     energy_J: float
@@ -170,8 +170,9 @@ def headline_of(result: "RunResult") -> Headline | None:
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row in `comparison`.
 
-    A flight other than "optimal" and "open_loop/plan" qualifies if its row has a saving. The order
-    of preference is tuned autopilot, quintic path, least energy. None if no flight qualifies.
+    A flight other than "optimal" and "open_loop/plan" qualifies if its row has a saving. The tuned
+    autopilot is preferred, then the flight along the quintic path, then that of least energy. If
+    none qualifies, the result is None.
     """
     # The flight of the plan, and the simulation of its rotor commands without feedback.
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))

@@ -91,7 +91,8 @@ class Leg:
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs of a mission, and the least and greatest duration of each group of legs [s].
 
-    Waypoints with a given passing time divide the legs into groups. Each hover forms its own group.
+    Waypoints with a given passing time divide the legs into groups. Each hover is a leg and a group
+    of its own.
     The waypoints keep the scenario's order, even if it is open.
     """
     mission, mass, hovering = scenario.mission, 1.0, HOVERING_M_PER_S
@@ -173,8 +174,8 @@ class Itinerary:
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
         """Return A_k [J s] and G_k [W] of all legs, the term of the jumps [J], and their gradients.
 
-        The gradients with respect to `prices`, the prices y of velocity, have the shape (2 n_legs +
-        1, n_prices, 3).
+        `prices`, shape (n_prices, 3), are the prices y of velocity. The gradients with respect to
+        them have the shape (2 n_legs + 1, n_prices, 3).
         """
         n = len(self._displacements)
         legs = np.arange(n)
@@ -264,10 +265,10 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
+    """Minimise the sum of A_k / T_k + G_k T_k over one group; return minimum [J] and T_k [s].
 
-    The sum of the T_k is limited by `least` and `greatest` [s]. If an A_k is negative, the minimum
-    is minus infinity, except for one leg of fixed duration. See docs/theory/bound.md, eq. (13).
+    The sum of the T_k is between `least` and `greatest` [s]. If an A_k is negative, the minimum is
+    minus infinity, except for one leg of fixed duration: docs/theory/bound.md, eq. (13).
     """
     if least == greatest and gained.size == 1:
         return float(gained[0] / least + spent[0] * least), np.array([least])

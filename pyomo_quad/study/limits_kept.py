@@ -1,8 +1,9 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
 The risk of a plan is the allowed share of its flights in turbulence that break a limit. The planner
-simulates test flights of the plan. The risk covers a limit if it is among the three that the test
-flights break most often, and a flight if it covers every broken limit.
+simulates test flights of the plan in turbulence. The risk covers a limit if the limit is among the
+three that the test flights break most often. It covers a flight if it covers every limit that the
+flight breaks.
 """
 
 from collections.abc import Iterator, Sequence

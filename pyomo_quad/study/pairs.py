@@ -185,8 +185,8 @@ class Pairs:
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
         """Return rotor speed, thrust, power, `excess` and `margin` of a pair as CasADi expressions.
 
-        Power is that of equal rotor speeds. If `margin` is negative, unequal speeds take at most
-        `excess` [W] less: docs/theory/bound.md, eq. (17).
+        The power [W] is that of equal rotor speeds. If `margin` is negative, unequal speeds of the
+        same thrust take at most `excess` [W] less: docs/theory/bound.md, eq. (17).
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -227,6 +227,7 @@ class Pairs:
         across and along the thrust [N], power [W], excess [W]. `_of_rotors` explains margin and
         excess.
         """
+        # With the default `numbers`, H is the power.
         found = self._enclosure.at(points, (*numbers, 1.0))
         # H and power become lower bounds for rotors with unequal speeds, too.
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
@@ -268,8 +269,8 @@ class Pairs:
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
         """Return the four numbers by which the prices enter the minimisation of H over the pairs.
 
-        With q = w - eta * mass * `standing`, they are length(p), the components of q along and
-        across p, and eta: docs/theory/bound.md, eq. (16).
+        For prices p, w, eta and q = w - eta * mass * `standing`, they are length(p), the components
+        of q along and across p, and eta: docs/theory/bound.md, eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -292,8 +293,8 @@ class Pairs:
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Return the least sampled H over all pairs and winds [W], and rows for `_Program`.
 
-        The true minimum may be lower. A row has the power [W] of a pair of low H, then the
-        derivatives of H by the prices of momentum, displacement and kinetic energy.
+        The true minimum may be lower. A row, shape (8,), has the power [W] of a pair of low H, then
+        derivatives of H by the prices of momentum [N], displacement [m/s] and kinetic energy [W].
         """
         minima = []
         for wind in self._winds:
@@ -309,10 +310,11 @@ class Pairs:
     def least_through_air(
         self, prices: Sequence[MotionPrices], above: FloatArray, tolerance: float
     ) -> FloatArray:
-        """Return proven lower bounds on G of the module `study.potential`, shape (n,) [W].
+        """Return proven lower bounds on G, the least H over all pairs in still air, shape (n,) [W].
 
-        Implements docs/theory/bound.md, eq. (23). `prices` has the prices a of momentum, `above`
-        upper bounds on G. Unless the search ends early, the error is at most `tolerance` [W].
+        The prices of momentum include the effect of the wind. `above` has upper bounds on G. Unless
+        the search ends early, the error is at most `tolerance` [W]. Implements
+        docs/theory/bound.md, eq. (23).
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
         numbers = np.array([self.numbers(p, 1.0) for p in prices]).T
@@ -576,8 +578,7 @@ def prices_of_pairs(
 class _Program:
     """Linear program for the prices that maximise the lower bound on a flight's energy.
 
-    Each pair known so far gives one constraint: the least H of a leg is at most the value of H at
-    the pair.
+    Each pair known so far gives one constraint: the least H of a leg is at most H at the pair.
     """
 
     def __init__(

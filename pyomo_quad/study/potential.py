@@ -145,14 +145,14 @@ class GradientTable:
     """Table of the function G over the lengths of price and gradient and the angle between them.
 
     The module docstring defines G. The price of momentum and the gradient are horizontal. There are
-    `_DIRECTIONS` angles from 0 to half a turn; others follow by symmetry.
+    `_DIRECTIONS` equally spaced angles from 0 to half a turn; others follow by symmetry.
 
     Attributes
     ----------
     sizes : ndarray, shape (n_sizes,)
-        Lengths of the price [W/N].
+        Lengths of the price [W/N], increasing.
     lengths : ndarray, shape (n_directions, n_lengths)
-        Lengths of the gradient [N], from zero.
+        Lengths of the gradient [N], increasing from zero.
     values : ndarray, shape (n_sizes, n_directions, n_lengths)
         G or lower bounds on G [W].
     """
@@ -164,8 +164,8 @@ class GradientTable:
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
         """Return the allowed gradients of a potential in n winds, shape (n, 2) [m/s], as polygons.
 
-        The result has their corners [N], shape (n, n_corners, 2), counter-clockwise. None if a wind
-        forbids the gradient zero. Implements docs/theory/bound.md, eq. (26).
+        The result has their corners [N], shape (n, n_corners, 2), counter-clockwise. It is None if
+        a wind forbids the gradient zero. Implements docs/theory/bound.md, eq. (26).
         """
         # The table does not depend on the price of time, so `prices.power` may differ from that of
         # its computation.
@@ -316,7 +316,7 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
     """Return the edges of the intersection of each cell's polygons: cell index, normal, and limit.
 
     A gradient q is inside if `normal . q <= limit` for all edges of its cell. `polygons` has the
-    shape (n_cells, n_winds, n, 2).
+    shape (n_cells, n_winds, n, 2). Each polygon contains the origin.
     """
     import shapely  # noqa: PLC0415  for fields alone
 
@@ -377,7 +377,7 @@ class _Search:
         most = float(table.values[:, 0, 0].min())
         if most <= 0.0:
             return None
-        # The duration is free: the price of time stays zero.
+        # If the duration is free, the price of time stays zero.
         if self._durations[0] < self._durations[1] / 2:
             return prices
         # A larger price of time raises the term of the duration, but allows only smaller gradients
@@ -423,11 +423,10 @@ def bound_by_places(
 ) -> float:
     """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
-    `pairs_in` takes corners of a polyhedron of winds, shape (n, 3), and returns `Pairs`. Minus
-    infinity if no prices give a bound. Implements docs/theory/bound.md, eq. (25).
+    `winds`, shape (n, 3) [m/s], are corners of a polyhedron of all winds, all horizontal.
+    `pairs_in` takes such corners. `power` is that of hover [W]. If no prices give a bound, the
+    result is minus infinity. Implements docs/theory/bound.md, eq. (25).
     """
-    # `winds` are the corners of the polyhedron of all winds of the field, all horizontal.
-    # Tolerances are fractions of `power`, the power of hover [W].
     search = _Search(pairs_in(winds), places, durations, power)
     mean = np.array([*places.corners.mean(axis=(0, 1)), 0.0])
     for spread in _SPREADS:

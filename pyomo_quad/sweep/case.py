@@ -1,9 +1,9 @@
 """Solution of one case of a sweep: the worker's input, the solve, and the output columns.
 
 A case is one variant of the sweep's base scenario. A worker receives a `CaseTask` and plans the
-case's flight. With the task `FLY_PLAN`, it instead simulates a controller in the case's scenario
-that follows the base scenario's plan. It returns a `CaseOutcome`, the row of the case in the
-sweep's result table.
+case's flight. With the task `FLY_PLAN`, the worker instead flies the base scenario's plan under the
+controller in the case's scenario. It returns a `CaseOutcome`, the row of the case in the sweep's
+result table.
 """
 
 import importlib
@@ -259,7 +259,7 @@ class _Flown:
     def repeats(self) -> float:
         """Number of repetitions of the flight that one battery charge permits.
 
-        NaN if the flight uses no charge.
+        The result is NaN if the flight uses no charge.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -277,8 +277,8 @@ class _Flown:
     def saved(self) -> float:
         """Energy saving of the plan compared with this flight, as a fraction: 1 - P / E.
 
-        P is the energy of the plan, E that of the flight to the goal state. NaN if the flight is
-        not comparable.
+        P is the energy of the plan, E that of the flight to the goal state. The result is NaN if
+        `is_comparable` is false for the flight.
         """
         if not is_comparable(self.flight):
             return np.nan
@@ -333,7 +333,7 @@ def _of_a_baseline(reference: Reference) -> _Columns:
 def unit_of_column(name: str) -> str:
     """Return the unit of an output column of a sweep, spelled as in the column's name.
 
-    For example, the unit of ``energy_J`` is "J"; empty for a column without unit.
+    For example, the unit of ``energy_J`` is "J". The result is empty for a column without unit.
     """
     tables = (_OF_A_PLAN, _OF_A_PLAN_FLOWN, *map(_of_a_baseline, Reference))
     return next((table[name][0] for table in tables if name in table), "")

@@ -187,8 +187,8 @@ _STAR: dict[str, Any] = {
 def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
     """Draw an output quantity over two numeric scenario fields as a grid of coloured cells.
 
-    `plane` holds its values in the column's unit. Index and columns are the values of the fields,
-    named by their dotted paths. A cross marks a failed case (NaN).
+    `plane` holds the values of `quantity`, in the unit of its column. Index and columns are the
+    values of the fields, named by the fields' dotted paths. A cross marks a failed case (NaN).
     """
     across, up = field_quantity(str(plane.columns.name)), field_quantity(str(plane.index.name))
     height = min(5.0, _EDGES + _CELL * len(plane.index))
@@ -227,7 +227,8 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     """Draw an output quantity against the wind direction, in polar coordinates.
 
     The centre is the least value of all curves, not zero. A star marks the worst direction of each
-    curve (`Quantity.worst_row`). `field` is the direction that the wind blows to, in rad.
+    curve (`Quantity.worst_row`). `field` is the dotted path of the direction that the wind blows
+    to, in rad.
     """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.04, 0.07, 0.55, 0.76), projection="polar")
@@ -284,8 +285,8 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
 
-    The first bar is the range over all cases, with row numbers of cases at its ends. At the ends of
-    other bars stand values of the field.
+    The first bar is the range over all cases, with row numbers of cases at its ends. The other bars
+    have values of their field at their ends.
     """
     height = _BAR_EDGES + _BAR_ROW * (1 + len(found))
     figure, axes = full_width(

@@ -310,9 +310,9 @@ class SweepDesign:
         Raises
         ------
         ValueError
-            If a dimension is missing or has wrong values, the cases are too many, a field varies
-            twice, an output column is unknown, or `report_on` is empty. Also if the base scenario
-            is invalid.
+            If there are no dimensions, a dimension has missing or wrong values, the cases are too
+            many, a field varies twice, an output column is unknown, or `report_on` is empty. Also
+            if the base scenario is invalid; only that message has several lines.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):

@@ -176,8 +176,8 @@ def _sensitivities(
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
     """Yield the mission duration at which a quantity is least, for the report's template.
 
-    There is one item for each combination of the other fields. `at_base`, the quantity at the base
-    scenario's duration, may be NaN.
+    There is one item for each combination of values of the other fields. `at_base` is the quantity
+    at the base scenario's duration, or NaN.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

@@ -221,7 +221,7 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        When the last child of a case is finished or failed, the case's solution is deleted.
+        When all children of a case have finished or failed, the case's solution is deleted.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -325,8 +325,9 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. Without any, one case is solved first,
-    then a neighbour from its solution. The time of the last solve counts.
+    The time per case is the mean over the stored results. If there are none, one case is solved,
+    and then a neighbour, if there is one that starts from the solution of the first case. The time
+    of the last solve counts.
 
     Parameters
     ----------

@@ -4,7 +4,8 @@ A quantity is an output column, such as the energy. A dimension is one scenario 
 fields that change together.
 
 The central case has the field values of the base scenario. A field whose base value is not in the
-sweep has the middle of its values. Sensitivities and heat maps vary the central case.
+sweep has the middle of its values. Sensitivities and heat maps vary one or two dimensions, and keep
+the other fields as in the central case.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -47,9 +48,10 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies alone from the central case.
 
-    For a field with given values, the quantity is its mean over the draws of the random fields. For
-    a random field, it is a linear least-squares fit at the 5 % and 95 % quantiles of the field and
-    the means of the other random fields.
+    For a field with given values, the quantity is averaged at each value over the draws of the
+    random fields. For a random field, a linear function of all random fields is fitted by least
+    squares. The ends of the range are then its values at the field's 5 % and 95 % quantiles, with
+    the other random fields at their means.
 
     Attributes
     ----------
@@ -102,8 +104,7 @@ class Spread:
     def note(self) -> str:
         """Part of a caption: how much of the quantity's variance the random fields explain.
 
-        The text continues a caption and begins with a semicolon. It is empty if `linear_share` is
-        NaN.
+        The text begins with a semicolon. It is empty if `linear_share` is NaN.
         """
         if isnan(self.linear_share):
             return ""
@@ -213,7 +214,8 @@ class SweepResults:
         """Tabulate a quantity over two dimensions of the sweep.
 
         The columns are the values of `across`, the rows those of `up`, both ascending. Other fields
-        are as in the central case, and random fields are averaged. NaN where no case finished.
+        are as in the central case. The quantity is averaged over the draws of random fields, and
+        NaN where no case finished.
         """
         rows = _matching(self.finished, self.beside(across, up))
         plane = rows.pivot_table(index=up.paths[0], columns=across.paths[0], values=quantity)
@@ -290,7 +292,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Return the rows on the Pareto front of two quantities to minimise, by ascending `first`.
 
     A row is on the front if every other row has a larger value of at least one quantity. Of equal
-    rows, the first counts. The last row has the least `second`.
+    rows, only the first counts. The last row has the least `second`.
     """
     ordered = rows.sort_values([first, second])
     best_before = ordered[second].astype(float).cummin().shift(fill_value=np.inf)
@@ -320,8 +322,8 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 class _Plane:
     """Linear least-squares fit of a quantity over the random fields of a sweep.
 
-    The fit is ``middle + slopes @ (values - centre)``, and ``explained`` its coefficient of
-    determination.
+    The fit is ``middle + slopes @ (values - centre)``, where ``values`` are those of ``fields`` and
+    ``centre`` their means over the cases. ``explained`` is the coefficient of determination.
     """
 
     fields: tuple[str, ...]

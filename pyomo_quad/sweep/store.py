@@ -124,8 +124,9 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
     """Create the tables of a result store in an empty database.
 
-    `notes` become rows of the table ``sweep``. If the database already has tables, the function
-    only checks that it is writable. sqlite3.DatabaseError is raised if it is not.
+    `notes` become rows of the table ``sweep``: ``design`` as JSON text, and ``version`` of
+    pyomo_quad. If the database already has tables, the function only checks that it is writable.
+    sqlite3.DatabaseError is raised if it is not.
     """
     (count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if not count:

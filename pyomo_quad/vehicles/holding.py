@@ -1,7 +1,7 @@
 """Comparison of computed with measured powers of vehicles.
 
-The vehicles of the package's library are compared with measurements. For other vehicles
-only data sheets exist: their estimated hover powers are compared with the published ones.
+The vehicles of the package's library are compared with measurements. For other vehicles only data
+sheets exist: their estimated hover powers are compared with the published ones.
 """
 
 import tomllib
@@ -152,8 +152,9 @@ def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
 def data_sheets() -> pd.DataFrame:
     """Compare estimated with published hover powers of vehicles of which only data sheets exist.
 
-    Each row has title, mass [kg], propeller [inches], published and estimated power [W], error 100
-    (estimated - published) / published, kind of publication, and source.
+    Each row has title, mass [kg], propeller (diameter and pitch in inches), both powers [W], error
+    [percent], kind of publication, and source. The error is 100 (estimated - published) /
+    published.
     """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []
@@ -164,8 +165,7 @@ def data_sheets() -> pd.DataFrame:
         )
         estimated = estimate_vehicle(known).estimated_hover_W
         measured = sheet.get(MEASURED)
-        # Some data sheets give only the endurance in hover, in which 80 % of the nominal energy are
-        # used.
+        # Some data sheets give only the endurance in hover, which uses 80 % of the nominal energy.
         if measured is None:
             energy = USED_SHARE * pack.nominal_voltage * pack.capacity * _JOULES_PER_WATT_HOUR
             measured = energy / (sheet["endurance_min"] * _SECONDS_PER_MINUTE)

@@ -95,7 +95,7 @@ class Known:
     pack : Pack or None
         Battery.
     hover_power : float or None
-        Measured electrical power.
+        Measured electrical power of the whole vehicle in hover.
     hover_said : str
         Measurement in words, such as "8 A at 15 V", or empty.
     rotors : int

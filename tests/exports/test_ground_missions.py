@@ -110,21 +110,16 @@ def test_a_waypoint_file_of_mission_planner():
 def test_circling_without_end_is_the_goal_at_the_last_place_too(tmp_path, moved):
     """The place at which the vehicle circles may be the one to which it flew before."""
     north = f"{47.0506 + float(moved):.7f}"
-    rows = [
+    rows = (
         "QGC WPL 110",
-        *(
-            "\t".join(row)
-            for row in [
-                "0 1 0 16 0 0 0 0 47.0502 8.3093 436.0 1".split(),
-                "1 0 3 22 0 0 0 0 0 0 12.0 1".split(),
-                "2 0 3 16 0 0 0 0 47.0506 8.3093 12.0 1".split(),
-                f"3 0 3 17 0 0 0 0 {north} 8.3093 12.0 1".split(),
-                "4 0 3 16 0 0 0 0 47.0600 8.3093 12.0 1".split(),
-            ]
-        ),
-    ]
+        "0 1 0 16 0 0 0 0 47.0502 8.3093 436.0 1",
+        "1 0 3 22 0 0 0 0 0 0 12.0 1",
+        "2 0 3 16 0 0 0 0 47.0506 8.3093 12.0 1",
+        f"3 0 3 17 0 0 0 0 {north} 8.3093 12.0 1",
+        "4 0 3 16 0 0 0 0 47.0600 8.3093 12.0 1",
+    )
     path = tmp_path / "circling.waypoints"
-    path.write_text("\n".join(rows) + "\n")
+    path.write_text("\n".join([rows[0], *(row.replace(" ", "\t") for row in rows[1:])]) + "\n")
     read = read_mission(path)
     goal = places(read.scenario)[-1]
     expected = metres(read.scenario.mission.origin, float(north), 8.3093)

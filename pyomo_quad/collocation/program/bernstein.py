@@ -1,9 +1,9 @@
 """Bounds on variables between the collocation points, through Bernstein coefficients.
 
 A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_. If all
-coefficients satisfy a bound, the whole polynomial satisfies it, too. Bounds on coefficients
-restrict the solution more than necessary. For the cost, see docs/theory/transcription.md, eqs. (6)
-and (7).
+coefficients satisfy a bound, the whole polynomial satisfies it, too. The converse is false, so
+bounds on coefficients restrict the solution more than necessary. For the cost, see
+docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -46,7 +46,7 @@ class BernsteinRule:
         Matrix from the values to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
         Matrix from the values to the polynomial's values at k / (n_values - 1), the abscissa of
-        coefficient k.
+        coefficient k. Here k counts all coefficients from 0, also those that are left out.
     """
 
     coefficients: FloatArray
@@ -66,7 +66,6 @@ def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
     # unknowns of the program have bounds already.
     kept = slice(int(is_state), -1)
     coefficients = np.asarray(np.linalg.inv(_basis(at, at.size - 1)), dtype=float)
-    # The abscissa of coefficient k is k / (n_values - 1), with k from 0.
     abscissae = np.linspace(0.0, 1.0, at.size)
     return BernsteinRule(
         coefficients=coefficients[kept],
@@ -130,8 +129,9 @@ class BernsteinRows:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
         The estimate is the sum of max(multiplier * (coefficient - value), 0): see
-        docs/theory/transcription.md, eq. (7). In `result`, these bounds are the last constraints;
-        `gap` is its complementarity gap.
+        docs/theory/transcription.md, eq. (7). The value is that of the polynomial at the
+        coefficient's abscissa. In `result`, these bounds are the last constraints; `gap` is its
+        complementarity gap.
         """
         pull = result.multipliers.rows[-self.lower.size :]
         beyond = self.coefficients @ result.z - self.values @ result.z
@@ -204,8 +204,8 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
     """Return whether a Bernstein coefficient of a variable violates a bound or is near it.
 
-    A coefficient is near a bound if its distance is below 0.45 (high - low). If only one bound is
-    finite, the distance is 0.45 max(1, abs(bound)).
+    A coefficient is near a bound if its distance is below 0.45 (high - low), or below
+    0.45 max(1, abs(bound)) if only one bound is finite.
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:

@@ -64,7 +64,8 @@ def bounds_of(
     Raises
     ------
     TranscriptionError
-        If lower bounds exceed upper bounds, or bounds contradict the order of free times.
+        If a lower bound exceeds an upper bound, or if bounds contradict the order of free times.
+        Free times are variables for physical times.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
@@ -163,7 +164,8 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
     """Yield the bounds of static variables, and of single states at declared times.
 
-    A condition (constraint at declared times) counts as a bound if it contains a single variable.
+    A condition (constraint at declared times) counts as a bound if it contains only a single state
+    or static variable (`CompiledModel.simple_point_bounds`).
     """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
@@ -325,7 +327,7 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
     """Raise an error if a program has infinite or NaN values at `z`, or contradictory equations.
 
     The equations are checked if there are more equations than free unknowns. They are contradictory
-    if they are linear and have no solution.
+    if they are linear and have no solution. The error is a `TranscriptionError`.
     """
     refuse_not_finite(program, z)
     held = np.flatnonzero(bounds.lower == bounds.upper).tolist()
@@ -345,7 +347,7 @@ def counted(bounds: Bounds) -> str:
 def refuse_overdetermined(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, fixed: Iterable[str]
 ) -> None:
-    """Raise an error if a program's equations are linear and contradict each other.
+    """Raise TranscriptionError if a program's equations are linear and contradict each other.
 
     The check is made only if the program has more equations than free unknowns. The message lists
     `fixed`, the names of variables with fixed values.

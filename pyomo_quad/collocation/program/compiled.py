@@ -199,19 +199,19 @@ def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
 class SimpleBound:
     """Bounds of a single variable, declared with it or by a constraint on it alone.
 
-    The constraint ``low <= a * x + b <= high`` gives the bounds (low - b) / a and (high - b) / a,
-    exchanged if a < 0.
+    The constraint ``low <= a * x + b <= high`` on the variable x gives the bounds (low - b) / a and
+    (high - b) / a, exchanged if a < 0.
 
     Attributes
     ----------
     name : str
-        Variable or constraint that declares the bounds.
+        Name of the variable or constraint that declares the bounds.
     variable : str
-        Symbol of the bounded variable.
+        Name of the bounded variable's symbol.
     slope : float
         Coefficient a; 1 for bounds declared with the variable.
     lower, upper : casadi.SX
-        Expressions of the data.
+        Expressions of the parameters and, for a bound over time, the fraction of the horizon.
     """
 
     name: str
@@ -282,7 +282,8 @@ IndexArray = NDArray[np.intp]
 class DerivedFunctions:
     """CasADi functions of a vector of expressions, its sparse Jacobian, and a weighted Hessian.
 
-    Derivatives are taken with respect to the variables.
+    Derivatives are taken with respect to the variables. The data are the parameters and, for
+    equations over time, the fraction of the horizon.
 
     Attributes
     ----------
@@ -291,7 +292,8 @@ class DerivedFunctions:
     jacobian : casadi.Function
         (variables, data) -> nonzeros of the Jacobian.
     hessian : casadi.Function
-        (variables, data, weights) -> nonzeros of the lower triangle for weights . values.
+        (variables, data, weights) -> nonzeros of the lower triangle of the Hessian of the scalar
+        product weights . values.
     jacobian_rows, jacobian_columns, hessian_rows, hessian_columns : ndarray of int
         Row and column of each nonzero.
     """
@@ -331,8 +333,10 @@ class TableArguments:
 class CompiledModel:
     """Model as CasADi functions: equations at one collocation point, conditions and objective.
 
-    A condition is a constraint among values at declared times, static variables and integrals. The
-    data of a point are fraction of the horizon, time-dependent and constant parameters.
+    A condition is a constraint among values at declared times (members of the continuous set),
+    static variables and integrals. The data of a point are the fraction of the horizon, the
+    time-dependent and the constant parameters. Functions for bounds have two outputs: the lower and
+    the upper bounds.
 
     Attributes
     ----------
@@ -447,8 +451,9 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    Inequalities and conditions that are linear in a single variable become bounds. Integrals in
-    conditions or in nonlinear terms of the objective become static variables.
+    Bounds that depend on static variables become constraints. Other inequalities and conditions
+    that are linear in a single variable become bounds. Integrals in conditions or in nonlinear
+    terms of the objective become static variables.
     """
     # Output states stay in the nonlinear program if the objective is constant.
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
@@ -548,7 +553,8 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
     """Return constraints equivalent to `equation`, whose limits depend on data alone.
 
-    If `moves(limit)` is true, the limit is subtracted: ``y <= limit`` becomes ``y - limit <= 0``.
+    If `moves(limit)` is true, the limit depends on static variables, and is subtracted: ``y <=
+    limit`` becomes ``y - limit <= 0``.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):

@@ -6,6 +6,9 @@ integrals of a horizon:
 
 - A state shares the unknown of its static variable.
 - For another value or an integral, the horizon has an equality constraint.
+
+An integral that enters only the objective, with a number as coefficient, has no static variable. It
+moves into the objective of its horizon.
 """
 
 from __future__ import annotations
@@ -150,8 +153,8 @@ class CouplingWriter(TemplateWriter):
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
         """Raise an error for a value that must not appear in the coupling of several horizons.
 
-        Such a value is a time-dependent parameter at a single time. In a constraint, it is also the
-        value of a variable at an interior time.
+        A time-dependent parameter at a single time must not appear at all. A variable's value at an
+        interior time must not appear in a constraint.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -338,6 +341,7 @@ class Union:
     """Positions of the unknowns and constraints of several programs in their joint program.
 
     Static variables of the same name share one unknown. The unknowns of the horizons come first.
+    Static variables that share no unknown with a state follow.
 
     Parameters
     ----------

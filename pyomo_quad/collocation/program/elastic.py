@@ -4,8 +4,9 @@ An elastic program has further unknowns, called slacks, that permit a violation.
 
 - `priced` keeps the objective, and adds slacks to the path equations. The optimum serves as initial
   point.
-- `least_violation` adds slacks to all constraints, and minimises their sum instead. If it is
-  positive, no point nearby satisfies all constraints: the problem is reported as infeasible.
+- `least_violation` adds slacks to all constraints, and minimises their sum instead of the
+  objective. If the least sum is positive, no point nearby satisfies all constraints: the problem is
+  reported as infeasible.
 """
 
 from __future__ import annotations
@@ -173,8 +174,8 @@ def least_violation(
 ) -> LeastViolation:
     """Find a point within the bounds at which the sum of scaled constraint violations is least.
 
-    Ipopt minimises the slacks of an l1 elastic program from the point `z`, with a tolerance of
-    1e-8, in at most 300 iterations.
+    Ipopt minimises the slacks of an l1 elastic program from the point `z`, with a tolerance of 1e-8
+    and at most 300 iterations. If it fails, its other barrier strategy is tried.
     """
     is_limit = np.isfinite(bounds.row_lower) | np.isfinite(bounds.row_upper)
     rows = np.flatnonzero(is_limit)

@@ -144,8 +144,9 @@ def run_without_far_rows(
 ) -> IpoptResult:
     """Solve a program from a warm start, without the constraints that are far from their limits.
 
-    The whole program is solved if fewer than a fifth are far, or the optimum violates one of them.
-    `run` has the arguments of `program.ipopt.run`.
+    The whole program is solved if less than a fifth of the constraints are far, or if the optimum
+    violates a far constraint. If the first solve fails, its result is returned unchecked. `run` has
+    the arguments of `program.ipopt.run`.
     """
     is_far = far_rows(program, bounds, scaling, start)
     if np.count_nonzero(is_far) < _WORTH * program.n_rows:

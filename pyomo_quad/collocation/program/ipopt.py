@@ -109,9 +109,9 @@ class StartDistance(Enum):
     This point lies on the central path: the optima of the barrier problem for all positive barrier
     parameters.
 
-    - `NONE`: the start practically coincides with the point.
-    - `SHORT`: the start is near the point.
-    - `FAR`: the start is far from the point.
+    - `NONE`: the start practically coincides with this point.
+    - `SHORT`: the start is near this point.
+    - `FAR`: the start is far from this point.
     """
 
     NONE = "none"
@@ -385,14 +385,17 @@ class IpoptResult:
     status : Status
     code : int
     message : str
+        Ipopt's return code and message.
     z : ndarray, shape (n_unknowns,)
-        The solution. After a failed or interrupted solve, the iterate of least constraint
-        violation, to within a factor of ten. If the iterates diverged, the last iterate.
+        The solution. After a failed or interrupted solve, a recorded iterate, whose constraint
+        violation is less than ten times the least of all iterates. If the iterates diverged, the
+        last iterate.
     multipliers : Multipliers
-        For the unscaled program, at the last iterate.
+        Multipliers at the last iterate, for the unscaled program.
     iterations : int
         Number of iterations of the last solve.
     history : tuple of Iteration
+        Progress reports of all solves.
     wall_s : float
         Wall-clock time of all solves [s].
     """
@@ -629,6 +632,7 @@ def run(
     TranscriptionError
         If Ipopt refuses an option, or cannot load the linear solver.
     MemoryError
+        If Ipopt ran out of memory.
     """
     idle = bounds.surplus + 1
     if idle > 0:
@@ -720,7 +724,8 @@ def run_past_the_barrier(
     """Solve a program by Ipopt, and repeat the solve until `barrier_gap` is negligible.
 
     The gap is compared with `size`, which returns the magnitude of the objective at given
-    unknowns. If a repetition fails or is interrupted, the previous result is returned.
+    unknowns. If a repetition fails or is interrupted, the previous result is returned. Its history
+    and wall-clock time do not include this repetition.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)

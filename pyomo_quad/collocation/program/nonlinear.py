@@ -45,7 +45,7 @@ class Bounds:
 
     @property
     def surplus(self) -> int:
-        """Number of equations minus number of free unknowns (unknowns with different bounds)."""
+        """Number of equations minus number of free unknowns (unknowns whose bounds differ)."""
         equations = int(np.sum(self.row_lower == self.row_upper))
         return equations - int(np.sum(self.lower < self.upper))
 
@@ -229,7 +229,8 @@ def _no_columns() -> NDArray[np.intp]:
 class ExtendedProgram:
     """Nonlinear program with added unknowns s, linear terms in constraints, and quadratic costs.
 
-    The unknowns are w = (z, s). If `terms` has more rows than c, c counts as 0 in the last rows.
+    The unknowns are w = (z, s), with n unknowns z and n_more unknowns s. If `terms` has more rows
+    than c, c counts as 0 in the last rows, the added constraints.
 
     - Objective: ``share * f(z) + prices @ s + sum(weights / 2 * (w[columns] - near)**2)``.
     - Constraints: ``c(z) + terms @ w``.

@@ -2,8 +2,8 @@
 
 A condition (constraint at declared times or without time, or fixed value) is redundant if other
 equations imply it. For example, the initial conditions imply an end condition on a conserved
-quantity. On a mesh, they imply it only up to the discretisation error. A program with both may have
-no solution, or unbounded multipliers.
+quantity. On a mesh, the other equations imply the condition only up to the discretisation error. A
+program that imposes it may then have no solution, or unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.reading.values import Instance
 
-# The initial conditions imply, for example, an end condition on a conserved quantity.
 # A condition counts as dependent if the part of its scaled slopes outside the span of the
 # conditions before it is below this fraction: above the error of a first mesh, far below the
 # fraction of any independent condition.
@@ -95,11 +94,11 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions that are redundant at the unknowns `z`.
+    """Return each condition that is redundant at the unknowns `z`.
 
-    The scaled gradient of such a condition lies in the span of those of the path equations and of
-    the independent conditions before it. `fixed` maps (variable name, fraction of the horizon) to
-    the fixed value.
+    Its scaled gradient is a linear combination of the gradients of the path equations and of the
+    independent conditions before it. `bounds` impose all conditions. `fixed` maps (variable name,
+    fraction of the horizon) to the fixed value.
     """
     candidates = list(_candidates(program, bounds, fixed))
     if not candidates:
@@ -178,8 +177,8 @@ def misses(
 ) -> list[float]:
     """Return by how much the solution `z` violates each condition that was left out of its solve.
 
-    The violations are absolute, scaled, and in the order of `redundant_conditions`. Its arguments
-    `bounds` and `fixed` are those with all conditions imposed.
+    The violations are absolute, scaled, and in the order of `redundant_conditions`. `bounds` and
+    `fixed` include the conditions that were left out.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

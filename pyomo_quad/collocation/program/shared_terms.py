@@ -1,9 +1,11 @@
 """Merging of equal terms in equations and derivatives, without writing out data of tables.
 
-In a Jacobian or Hessian by CasADi, many terms occur more than once. The function `casadi.cse`
-merges them, but would write out the whole table of each interpolation: a second for a million
-numbers. Symbols therefore replace the results of tables while terms are merged. The derivatives of
-these results are zero: see `collocation.reading.local_splines`.
+CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
+than once. The function `casadi.cse` merges them, and leaves every result the same to the last bit.
+It would, however, write out the whole table of each interpolation: a second for a million numbers.
+Symbols therefore replace the results of tables while terms are merged. Differentiation treats the
+symbols as constants. This is correct, because the results are Taylor coefficients at a rounded
+point: see `collocation.reading.local_splines`.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ if TYPE_CHECKING:
 class WithoutCalls:
     """Column of CasADi expressions in which symbols replace the calls of interpolation tables.
 
-    If the expressions also call another CasADi function, no call is replaced, and equal terms are
-    not merged.
+    If the expressions also call another CasADi function, no call is replaced, and equal terms of
+    `rows` are not merged.
 
     Attributes
     ----------

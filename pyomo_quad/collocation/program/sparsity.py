@@ -189,7 +189,7 @@ class Layout:
         return csr_matrix((weights, (rows, columns)), shape=shape)
 
     def _at_point(self, symbol: PointSymbol) -> tuple[IndexArray, FloatArray]:
-        """Return positions and weights of the unknowns whose weighted sum is `symbol`."""
+        """Return positions and weights of unknowns whose weighted sum is the value of `symbol`."""
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
         element = int(self.mesh.locate(np.array([symbol.fraction]))[0])
@@ -250,10 +250,11 @@ class Contributions:
     def add_slopes(
         self, variables: csr_matrix, rows: Any, of: IndexArray, sources: Any, weights: Any
     ) -> None:
-        """Add the derivatives in the given `rows` with respect to the variables `of`.
+        """Add derivatives with respect to variables that are linear combinations of the unknowns.
 
-        The variables are ``variables @ unknowns``. By the chain rule, a derivative contributes to
-        the columns of all unknowns in its variable. For `sources` and `weights`, see `add`.
+        The variables are ``variables @ unknowns``, and `of` has the index of each derivative's
+        variable. By the chain rule, a derivative contributes to the columns of all unknowns in its
+        variable. For the other arguments, see `add`.
         """
         rows, of, sources, weights = (
             held.ravel() for held in np.broadcast_arrays(rows, of, sources, weights)
@@ -267,9 +268,9 @@ class Contributions:
     ) -> None:
         """Add second derivatives with respect to pairs of variables, each pair given once.
 
-        The variables are ``variables @ unknowns``. With the rows v_i and v_j of the matrix, a
-        derivative h by variables i and j contributes ``h * outer(v_i, v_j)``, plus its transpose if
-        i and j differ.
+        The variables are ``variables @ unknowns``. With i from `first`, j from `second` and the
+        rows v_i, v_j of the matrix, a derivative h contributes ``h * outer(v_i, v_j)``, plus its
+        transpose if i and j differ.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -441,7 +442,7 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
 
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
-    """Return the linear map from second derivatives to the lower triangle of the Hessian.
+    """Return the linear map to the lower triangle of the Lagrangian's Hessian.
 
     Its inputs are the nonzeros of the Hessians of path equations and integrands, point by point.
     Then follow those of conditions (constraints not over time) and objective.

@@ -484,9 +484,9 @@ class Transcription:
     ) -> FloatArray:
         """Return derivatives of chosen path equations by chosen variables, at each of n points.
 
-        `rows` and `columns` are increasing positions of equations and variables. `variables` and
-        `data` (fraction of the horizon, parameters) have one row per point. The shape is (n,
-        n_rows, n_columns).
+        `rows` and `columns` are increasing positions of equations and variables. `variables` (in
+        the order of the class docstring) and `data` (in that of `Data.at_points`) have one row per
+        point. The shape is (n, n_rows, n_columns).
         """
         path, count = self.compiled.path, len(variables)
         mapped = self._path[1] if count == self.n_points else MappedFunction(path.jacobian, count)

@@ -3,7 +3,7 @@
 A declared time is a member of the model's continuous set, and usually a physical time. For a free
 time, a static variable (variable without time) is the physical time. Free times inside the horizon
 divide it into phases. The fraction of the horizon is 0 at the first and 1 at the last declared
-time. In each phase, physical time is linear in it.
+time. In each phase, physical time is a linear function of this fraction.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class PhaseTimes:
     fraction : SX
         Symbol of the fraction of the horizon.
     phases : tuple of SX
-        Symbols that are 1 in a phase and 0 elsewhere; empty for one phase.
+        One symbol per phase, 1 in this phase and 0 elsewhere; empty for a single phase.
     is_free : bool
         Whether any time is free.
     """

@@ -75,9 +75,9 @@ class WorkingCopy:
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint's member `data` belongs to this horizon or coupling.
 
-        A constraint over time belongs to the horizon of its continuous set. A constraint without
-        time belongs to a horizon if its time-dependent variables and parameters all do. All others
-        belong to the coupling.
+        A constraint over time belongs to the horizon of its continuous set. Any other belongs to a
+        horizon if all its time-dependent variables and parameters do. If it has none, or if they
+        belong to several horizons, it belongs to the coupling.
         """
         # With at most one horizon, every constraint belongs to the only working copy.
         if not self.others:

@@ -173,8 +173,8 @@ _Parts = dict[tuple[int, ...], Any]
 def _weights(count: int, cells: int, degree: int) -> Any:
     """Return a CasADi function for the factors of a spline in a grid cell, with their derivatives.
 
-    Its result has a matrix per axis: value, first and second derivative of each factor. The factors
-    of the first `cells` axes are powers of the local coordinate, the others basis functions.
+    It returns a matrix per axis; each row has the value and two derivatives of a factor. Factors
+    are powers on the first `cells` axes, and basis functions on the others.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)

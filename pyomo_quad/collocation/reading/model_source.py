@@ -76,9 +76,10 @@ def declared_unit(model: Any, name: str) -> str:
 
 
 def _spelled(unit: Any) -> str:
-    """Return a Pyomo unit as text without angles, for example N for N*rad**2.
+    """Return a Pyomo unit as an engineer writes it, for example N for the N*rad**2 of a thrust.
 
-    A compound unit that equals a named unit gets the name.
+    Radians that multiply another unit are left out. A compound unit that equals a named unit gets
+    the name.
     """
     text = str(unit)
     if "*" not in text and "/" not in text:
@@ -308,6 +309,7 @@ class LiveModel:
         for integral in self.model.component_objects(Integral, descend_into=True):
             for data in integral.values():
                 if data.name in totals:
+                    # The rule, which contains the integrand, remains unchanged.
                     data.set_value(totals[data.name])
 
     def load_suffix(

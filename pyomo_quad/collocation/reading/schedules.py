@@ -126,7 +126,8 @@ class Schedule:
     """Rule that branches on time, as a few compiled forms and their numbers over time.
 
     `say` maps a time to the rule's result, and is called beside and between the declared times
-    `times`. `place` maps a time to the time at which `say` is called instead.
+    `times`. `place` maps a time to the time at which `say` is called instead. For example, it can
+    return one time for an interval in which the result is the same.
 
     Attributes
     ----------
@@ -198,8 +199,8 @@ class Schedule:
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         """Assign the result of a rule to its form, or register the form if it is new.
 
-        Before compilation, a `TranscriptionError` is raised for too many forms. After it, the error
-        is raised for a new form, or a new number that varies.
+        A `TranscriptionError` is raised for too many forms. After compilation, it is raised for a
+        new form, or if a compiled constant differs.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -266,7 +267,7 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Give forms of a skipped constraint the body of the first other form, if it is linear.
+        """Give forms of a skipped constraint the first other form's body, if the body is linear.
 
         `forms` has lower bound, body and upper bound of each form, and is changed in place.
         """
@@ -348,8 +349,9 @@ def probes(times: Sequence[float]) -> list[float]:
 def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterator[float]:
     """Yield, in rising order, the times at which a function of time jumps.
 
-    A jump is a change of the reading's key, or of a number that stays as large when bisection
-    halves its interval. Jumps are searched between neighbouring `times`, which rise.
+    A change of the reading's key is a jump. A change of a number is a jump if halving the interval
+    around it does not reduce the change. Jumps are searched between neighbouring `times`, which
+    rise.
     """
     for start, end in pairwise(times):
         resolution = _RESOLUTION * max(abs(times[0]), abs(times[-1]), times[-1] - times[0])
@@ -478,9 +480,9 @@ class Interpolant:
         Times that bound the pieces, in rising order, including all jumps. An edge belongs to the
         piece that starts there.
     pieces : tuple of ndarray, shape (degree + 1, n_functions)
-        Chebyshev coefficients; empty if the approximation failed.
+        Chebyshev coefficients of each piece; empty if the approximation failed.
     refusal : str
-        Error message for a time outside the edges, or for the failure.
+        Error message for a time outside the edges, or the reason of the failure.
     """
 
     edges: tuple[float, ...]
@@ -520,7 +522,7 @@ def interpolant(
     horizon: tuple[float, float],
     jumps: Sequence[float],
 ) -> Interpolant:
-    """Approximate the functions of time `row` by piecewise polynomials, for pickling.
+    """Approximate functions of time, whose values `row` returns, by piecewise polynomials.
 
     A piece between two `jumps` is halved until polynomials of degree 12 reproduce each function to
     1e-13 of its largest magnitude there. If `row` raises a `TranscriptionError`, or more than

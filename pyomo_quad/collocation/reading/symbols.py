@@ -39,8 +39,8 @@ class TimeSymbol:
     Attributes
     ----------
     is_read : bool
-        Whether the rule used the number, except in comparisons with `declared` times. Its result
-        then does not hold at all times.
+        Whether the rule used the number, except in comparisons with `declared` times. The rule's
+        result then does not hold at all times.
     """
 
     def __init__(
@@ -448,7 +448,7 @@ class Declarations:
     scheduled : tuple of Slot
         Other data over time: the phase, and data of rules that branch on time.
     clock : PhaseTimes
-        Physical times in CasADi symbols.
+        Physical times of start, end and free times in CasADi symbols.
     equations : tuple of PathEquation
         Constraints over time.
     conditions : tuple of PointCondition
@@ -517,8 +517,8 @@ class Declarations:
 class SymbolTable:
     """Table of the CasADi symbols of a model's variables and parameters, each made at first use.
 
-    The symbol of a variable at the template time stands for a function of time, and at any other
-    time for the value.
+    The symbol of a variable at the template time stands for a function of time. The symbol at any
+    other time stands for the value at that time.
 
     Parameters
     ----------

@@ -150,8 +150,8 @@ class Table(PythonCallbackFunction):
     Parameters
     ----------
     *grid : array_like
-        For each argument, at least four grid points in ascending order. Then the array of values,
-        with one axis per argument.
+        For each argument, an array of at least four grid points in ascending order. Then the array
+        of values, with one axis per argument.
     units, arg_units : optional
         Pyomo unit of the values, and tuple of the units of the arguments; dimensionless by default.
 
@@ -248,7 +248,7 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 
     A `Table`, and a function that needs numbers (see `_sampled`), become a spline, whose arguments
     are added to `uses`. Any other Python function becomes the expression that it returns for
-    symbols. `owner` is the calling component.
+    symbols. `owner` is for messages. If sampling fails, a `TranscriptionError` is raised.
     """
     function = node._fcn  # noqa: SLF001
     is_python = isinstance(function, PythonCallbackFunction)
@@ -320,8 +320,8 @@ def _range(argument: Any) -> tuple[float, float]:
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     """Return the spline through samples of a function that can only be called with numbers.
 
-    A `TranscriptionError` is raised if the function fails, if an argument has no finite bounds, or
-    if the accuracy is not reached.
+    A `TranscriptionError` is raised for more than two arguments, an argument without finite bounds,
+    a failure of the function, or a lack of accuracy.
     """
     name = function.name
     if len(stated) not in _SAMPLES:

@@ -191,7 +191,9 @@ class ModelValues:
         Raises
         ------
         TranscriptionError
-            If a parameter has neither an override nor a rule that `LiveModel.signal` accepts.
+            If a parameter has no override, and `LiveModel.signal` refuses its values in the model.
+            The returned function raises it if a rule fails or returns an expression that was not
+            compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)

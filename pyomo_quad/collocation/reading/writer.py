@@ -429,14 +429,15 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint's member at a declared time, whose time is a symbol if it is free.
+        """Return a constraint's member at a declared time, with the physical time as a symbol.
 
-        For example, the member of ``m.x[t] == t`` contains the symbol instead of a number.
+        For example, the member of ``m.x[t] == t`` contains the symbol instead of a number. Without
+        a rule, or if its physical time depends on no free time, the member is returned unchanged.
 
         Raises
         ------
         TranscriptionError
-            If the rule uses a free time as a number.
+            If the rule uses such a physical time as a number.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock

@@ -40,7 +40,8 @@ def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which only limits on controls switch.
 
     A limit on controls contains algebraic variables only. It switches where it becomes active or
-    inactive, except at `known_boundaries`. No other limit may switch there.
+    inactive, except at `known_boundaries`. An element is left out if any other limit switches in or
+    beside it.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     # A costate may jump where a limit on a state or a rate (time derivative of a state) switches.
@@ -77,7 +78,7 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return which element boundaries every mesh of the problem must have, (n_elements + 1,).
+    """Return which element boundaries the problem itself requires, shape (n_elements + 1,).
 
     These are start and end of the horizon, jumps of parameters, times of fixed variables and
     conditions, and times in the objective.

@@ -136,9 +136,9 @@ def damping_of(
 ) -> Damping | None:
     """Return the damping on the next mesh of bounded controls that enter nearly linearly.
 
-    If a control differs from the smoothed control by its whole range, its penalty is `weight` times
-    the objective's nominal magnitude. `gap` is relative to this magnitude, too. Without such
-    controls and gap, the result is None.
+    For a control that always differs from the smoothed control by its whole range, the penalty is
+    `weight` times the objective's nominal magnitude. `gap` is relative to this magnitude, too.
+    The result is None if no control is damped and `gap` is 0.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower

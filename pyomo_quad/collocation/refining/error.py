@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     """Return how much the state errors of each element change the final states.
 
-    `errors` are those at each element's end, shape (n_elements, n_states). They grow in open loop:
-    see docs/theory/refinement.md, eq. (3). The result, of the same shape, is absolute, relative to
-    max(1, abs(final state)).
+    `errors` are those at each element's end, shape (n_elements, n_states). The linearised equations
+    propagate them in open loop: see docs/theory/refinement.md, eq. (3). The result has the same
+    shape, and magnitudes relative to max(1, abs(final state)).
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
     equations = linearised(program, variables, program.data.at_points())
     misses = np.zeros_like(errors)
-    # The equations do not determine all time derivatives of the states.
+    # The result is zero if the equations do not determine the time derivative of every state.
     if equations.rows.size != errors.shape[1]:
         return misses
     growth = np.eye(errors.shape[1])
@@ -102,9 +102,9 @@ class Allowance:
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
-        Tolerance on the states between the points, relative to their magnitudes. By default, it is
-        the tolerance of the refinement. If a simulation with feedback follows, a larger value
-        suffices. Residuals of algebraic equations may then be ten times the value.
+        Tolerance on errors of the states between the points, relative to the states' magnitudes. By
+        default, it is the tolerance of the refinement. If a simulation with feedback follows, a
+        larger value suffices. Residuals of algebraic equations may then be ten times the value.
     """
 
     control_breach: float = np.inf
@@ -119,7 +119,8 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    Errors that add up over the elements are extrapolated by docs/theory/refinement.md, eq. (2).
+    The errors `objective` to `integrals` add up over the elements. They are extrapolated to the
+    whole horizon: see docs/theory/refinement.md, eq. (2).
 
     Attributes
     ----------
@@ -145,7 +146,8 @@ class ErrorEstimate:
         Whether a control is clipped in the element.
     """
 
-    # Between the collocation points, as all errors.
+    # If the states or final states have their own tolerance, `states` or `miss` are multiplied by
+    # ``tolerance / own tolerance``.
     states: FloatArray
     violation: FloatArray
     # Computed with the costates. Relative to `Solution.nominal_objective`, as are `restraint` and
@@ -202,8 +204,9 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the errors of a solution between its collocation points, element by element.
 
-    An error that has its own tolerance in `allowance` is multiplied by ``tolerance / own
-    tolerance``. For the estimates, see docs/theory/refinement.md, "Error estimation".
+    With a tolerance `state_error` or `final_miss` in `allowance`, the errors of the states or final
+    states are multiplied by ``tolerance / own tolerance``. For the estimates, see
+    docs/theory/refinement.md, "Error estimation".
     """
     allowance = allowance or Allowance()
     finer, free, panels = _sampled(solution, _finer_places, _dense_places, _panelled_places)
@@ -411,8 +414,8 @@ def _clipped(
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
     """Return the errors of the states in each element, integrated from the errors of the rates.
 
-    Both belong to the Radau points of the next higher degree: see docs/theory/refinement.md, eq.
-    (1).
+    `slopes` are the errors of the rates. Both are at the Radau points of the next higher degree:
+    see docs/theory/refinement.md, eq. (1).
     """
     mesh, first, moved = solution.mesh, 0, []
     for e, degree in enumerate(mesh.degrees):
@@ -588,7 +591,7 @@ def _prices(solution: Solution) -> FloatArray:
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
     """Return the worst violations at each sample, three arrays of shape (n_samples,).
 
-    These are violations of algebraic equations, of limits that involve states or rates, and of
+    These are violations of algebraic equations, of limits that involve states but no rates, and of
     limits on controls alone. They are relative to max(1, abs(bound)), and zero where satisfied.
     """
     compiled, n = program.compiled, program.layout.n_states

@@ -3,8 +3,9 @@
 If the Hamiltonian has two local minima in a control, a switch between them may stay where the first
 mesh put it. Mesh refinement does not reveal this.
 
-On a singular arc, the states may be inaccurate although the objective is accurate: large deviations
-hardly change it. Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
+On a singular arc, the states may be inaccurate although the objective is accurate: even large
+deviations of the states hardly change the objective. Derivations: see docs/theory/refinement.md,
+eqs. (10) and (11).
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     now = _hamiltonian(solution, variables)
     # Where Ipopt's tolerance leaves an inequality violated, the controls stay as they are.
     now = np.where(np.isfinite(now), now, -np.inf)
-    # At each point, the one control changes whose change lowers the Hamiltonian most.
+    # At each point, only one control is changed: the one that lowers the Hamiltonian most.
     for k in hilly:
 
         def at(values: FloatArray, place: int = first + k) -> FloatArray:
@@ -202,7 +203,8 @@ def state_error(
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
     `before` is the solution on the previous mesh, given if limits become active or inactive inside
-    elements. `change` is the least relative change of the objective since an earlier mesh.
+    elements. `change` is the relative change of the objective since the previous mesh, or an
+    earlier one that met the tolerance.
     """
     # The result is the largest of several estimates. The first two are the largest error of the
     # solution, and twice the sum of a state's errors over all elements, for the worst state.
@@ -214,7 +216,7 @@ def state_error(
         factor, root = _FELT[order]
         own = max(own, factor * max(error.largest, change) ** root)
     # With `before`, limits become active or inactive inside elements. The times of these changes
-    # depend on the mesh, and are inaccurate. Three more estimates are then added: the violation of
+    # depend on the mesh, and are inaccurate. Three more estimates then count: the violation of
     # limits between the points, the change of the states since the previous mesh, and their change
     # if a control jumps at another time inside its element.
     if before is None:

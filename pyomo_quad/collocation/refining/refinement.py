@@ -2,11 +2,11 @@
 
 Terms (see docs/theory/refinement.md):
 
-- Damping: penalty on changes of controls that enter linearly.
+- Damping: penalty on changes of controls since the previous mesh, if they enter linearly.
 - Complementarity gap: error that Ipopt's barrier leaves in the objective, eq. (16).
-- Settled objective: changed by at most half the tolerance since the previous mesh, or an earlier
-  mesh that met the tolerance.
-- Restart: new start from controls with a lower Hamiltonian.
+- Settled objective: its relative change since the previous mesh, or since an earlier mesh that met
+  the tolerance, is at most half the tolerance.
+- Restart: new start of the refinement from controls with a lower Hamiltonian.
 """
 
 from __future__ import annotations
@@ -76,13 +76,13 @@ def refine(
     start: Start,
     past_the_barrier: Callable[[tuple[Damping | None, ...], S], S] | None = None,
 ) -> S:
-    """Solve on finer and finer meshes until the error estimate meets the tolerance.
+    """Solve on finer meshes until the error estimate meets the tolerance.
 
-    If limits become active or inactive inside an element, or controls are damped, the objective
-    must also have settled. A refinement that ends earlier has `Status.TOLERANCE_NOT_MET`, or its
-    last solve's status.
+    If controls are damped, or limits become active or inactive inside an element, the objective
+    must have settled. This does not apply before a simulation with feedback. A result that falls
+    short has `Status.TOLERANCE_NOT_MET` or its last solve's status.
     """
-    # If a later simulation corrects the controls by feedback, the objective need not have settled.
+    # For `solve` and `past_the_barrier`, see `_Refinement`.
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
     )
@@ -207,7 +207,7 @@ class _Refinement(Generic[S]):
     def _restarted(self, accepted: S) -> S | None:
         """Restart the refinement if Pontryagin's principle shows better controls than `accepted`.
 
-        The result is None after a restart, and the final solution otherwise.
+        The result is None if the refinement restarts, and the final solution otherwise.
         """
         # A further restart requires that the previous one improved the objective by more than the
         # tolerance. The rule makes the restarts end. Singular controls need it: their Hamiltonian
@@ -315,8 +315,8 @@ class _Refinement(Generic[S]):
         has_settled = self._has_settled(solution)
         # A simulation that corrects the controls shows what the junctions between the points cost.
         is_simulated = self.options.allowance.state_error is not None
-        # The objective must settle if limits become active or inactive in elements, or controls are
-        # damped.
+        # Without such a simulation, the objective must settle if limits become active or inactive
+        # inside elements, or if controls are damped.
         must_settle = not is_simulated and (any(junctions) or is_damped)
         if is_met and (has_settled or not must_settle):
             return None
@@ -381,7 +381,8 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        It is 0.3 times the error of the objective, between 0.2 times the tolerance and 1e-3.
+        It is 0.3 times the largest relative error of objective and integrals. The limits are 0.2
+        times the tolerance and 1e-3.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -393,7 +394,7 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the increased strength of the damping, max(firmness, min(5 firmness, most)).
+    """Return the increased factor on the damping, max(firmness, min(5 firmness, most)).
 
     `settled` counts the meshes on which the objective was settled. `most` is 25 up to 3 of them,
     125 from 4 to 7, and infinite from 8.
@@ -570,7 +571,8 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
     It is relative to `Solution.nominal_objective`, and infinite on the first mesh.
     """
     *before, now = solution.history
-    # The objective on the mesh before the last may be inaccurate, so earlier meshes count too.
+    # The objective on the mesh before the last may be inaccurate. Earlier meshes that met the
+    # tolerance therefore count too.
     accepted = [record for record in before[:-1] if record.error <= tolerance]
     moved = [abs(now.objective - record.objective) for record in (*accepted, *before[-1:])]
     return min(moved, default=math.inf) / solution.nominal_objective
@@ -592,7 +594,7 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return a phrase on the control that changed most since the previous mesh, for a message.
 
-    It is empty without controls or without previous solution.
+    It is empty without controls or without a previous solution.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

@@ -54,7 +54,7 @@ class RefinementOptions:
         splits elements at these times last, and solves less exactly on early meshes.
     on_mesh : callable, optional
         Called with the solution after each mesh on which Ipopt converged. If it returns False, the
-        refinement ends with the status interrupted.
+        refinement ends with its most accurate solution and the status interrupted.
     known : Solution, optional
         Converged solution for the same parameters. If a warm start is given and the first mesh is
         that of `known`, then `known` replaces the solve on this mesh.
@@ -70,9 +70,9 @@ class RefinementOptions:
     max_points: int = 60_000
     allowance: Allowance = field(default_factory=Allowance)
     damping: float = 100.0
-    # Most of these times hardly affect the objective. Elements are split there only after all
-    # errors meet the tolerance. Each solve reduces the complementarity gap only to a fraction of
-    # the error on the previous mesh.
+    # Most times at which limits become active or inactive hardly affect the objective. Elements are
+    # split there only after all errors meet the tolerance. Each solve reduces the complementarity
+    # gap only to a fraction of the error on the previous mesh.
     limits_move: bool = False
     on_mesh: Callable[[Any], bool | None] | None = None
     known: Any = None
@@ -86,11 +86,11 @@ class RefinementOptions:
         """
         # A later simulation then corrects the controls by feedback, and reveals violations between
         # the points. Bounds between the points would be superfluous.
-        # Bounds between the points are imposed only if `limits_move` is true.
         if self.allowance.state_error is not None:
             return math.inf
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
-        # Solves with a warm start impose the bounds between the points, with this tolerance.
+        # If `limits_move` is true, solves with a warm start impose bounds between the points, with
+        # this tolerance.
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
     @property
@@ -393,9 +393,8 @@ def _jump(solution: Solution, e: int) -> float | None:
     It is None if no control jumps. See docs/theory/refinement.md, eq. (8).
     """
     mesh = solution.mesh
-    # The problem requires an element boundary at the start or end of the element.
-    # A jump is then assumed to be at that boundary, for example because a parameter jumps there.
-    # Elements are separated there already.
+    # If the problem requires a boundary at the start or end of the element, a jump is assumed to be
+    # there, for example because a parameter jumps. Elements are separated there already.
     if known_boundaries(solution)[e : e + 2].any():
         return None
     controls = solution.trajectory.algebraics

@@ -78,7 +78,7 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at points, with parameters of the times `fractions`, shape (2, n).
+    """Return the Hamiltonian at points, with parameters at the times `fractions`, shape (2, n).
 
     The first row uses the integrated costates, the second the costates from the multipliers. Time
     is measured as a fraction of the horizon.
