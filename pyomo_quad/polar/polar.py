@@ -109,7 +109,9 @@ class SteadyCurve:
         fastest = along + np.sqrt(ahead) if ahead >= 0.0 else 0.0
         if fastest <= _SLOWEST_GROUND_SPEED:
             return GroundSpeed(ground_speed=0.0, airspeed=np.nan, power=np.nan, endurance=0.0)
-        best = _least(cost, np.linspace(_SLOWEST_GROUND_SPEED, fastest, _TRIALS))
+        # In a strong tail wind, a slow flight over ground would need too much airspeed against it.
+        slowest = max(_SLOWEST_GROUND_SPEED, along - np.sqrt(ahead))
+        best = _least(cost, np.linspace(slowest, fastest, _TRIALS))
         at = float(airspeed(best))
         return GroundSpeed(
             ground_speed=best,

@@ -131,7 +131,9 @@ class WindProfile(Part):
 class WindSeries(Part):
     """Measured wind over time, height or both, read from the file named `wind.file`."""
 
-    times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
+    times: tuple[Number, ...] = quantity(
+        "s", "times of the wind values; the mission starts at wind.time_offset"
+    )
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
     wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
     heights: tuple[Number, ...] = late_quantity(

@@ -56,6 +56,21 @@ def test_speed_in_wind_is_that_of_a_search_over_airspeed_vectors(curve, angle):
     assert found.energy_per_metre == pytest.approx(least.fun, rel=1e-5)
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.5, 3.0])
+def test_a_tail_wind_faster_than_the_vehicle_is_flown_in_with_little_power(curve, factor):
+    top = curve.airspeeds[-1]
+    wind = factor * top
+
+    def energy_per_metre(ground_speed):
+        return (FIXED_W + CUBIC * abs(ground_speed - wind) ** 3) / ground_speed
+
+    found = curve.best_over_ground(wind, 0.0)
+    bounds = (max(0.1, wind - top), wind + top)
+    least = minimize_scalar(energy_per_metre, bounds=bounds, method="bounded")
+    assert found.ground_speed == pytest.approx(least.x, rel=1e-3)
+    assert found.energy_per_metre == pytest.approx(least.fun, rel=1e-5)
+
+
 def test_a_cross_wind_faster_than_the_vehicle_lets_it_go_nowhere(curve):
     wind = 1.05 * curve.airspeeds[-1] / np.sin(np.radians(70.0))
     best = curve.best_over_ground(wind, np.radians(70.0))
