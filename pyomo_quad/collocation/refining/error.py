@@ -592,7 +592,7 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
     """Return the worst violations at each sample, three arrays of shape (n_samples,).
 
     These are violations of algebraic equations, of limits that involve states but no rates, and of
-    limits on controls alone. They are relative to max(1, abs(bound)), and zero where satisfied.
+    limits on controls or rates. They are relative to max(1, abs(bound)), and zero where satisfied.
     """
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data
@@ -600,17 +600,19 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
     held = samples.rows[:, : compiled.n_equations]
     every = np.arange(compiled.n_equations)
     named = compiled.path.jacobian_columns
-    is_algebraic, is_of_controls = (
-        ~np.isin(every, compiled.path.jacobian_rows[named < first]) for first in (n, 2 * n)
+    has_rates, has_rates_or_states = (
+        np.isin(every, compiled.path.jacobian_rows[named < first]) for first in (n, 2 * n)
     )
-    is_limit = is_algebraic & ~compiled.is_equality
+    # Rates may jump like controls: a limit broken beside a jump moves a state by little.
+    is_of_states = ~compiled.is_equality & ~has_rates & has_rates_or_states
+    is_of_controls = ~compiled.is_equality & ~is_of_states
     low, high = MappedFunction(compiled.limits_over_time, len(variables))(data)
     own = outside(variables[:, n + compiled.limited], low, high)
     is_own = compiled.limited < n
     rows = outside(held, lower, upper)
-    limits = np.hstack([rows[:, is_limit & ~is_of_controls], own[:, is_own]])
-    controls = np.hstack([own[:, ~is_own], rows[:, is_limit & is_of_controls]])
+    limits = np.hstack([rows[:, is_of_states], own[:, is_own]])
+    controls = np.hstack([own[:, ~is_own], rows[:, is_of_controls]])
     return tuple(
         worst.max(axis=1, initial=0.0)
-        for worst in (rows[:, is_algebraic & compiled.is_equality], limits, controls)
+        for worst in (rows[:, ~has_rates & compiled.is_equality], limits, controls)
     )

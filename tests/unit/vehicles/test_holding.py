@@ -73,5 +73,5 @@ def test_the_report_has_a_page_for_each_vehicle(tmp_path, capsys):
         assert f"computed powers of {len(own)} point" in page
         mean = own["error_percent"].abs().mean()
         assert summary["vehicles"][name]["mean_error_percent"] == pytest.approx(mean)
-        assert f"off by {mean:.1f} % on average" in page
+        assert f"measured powers by {mean:.1f} % on average" in page
         assert name in WITHIN or name == "dji_phantom_2"

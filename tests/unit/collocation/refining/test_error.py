@@ -46,6 +46,22 @@ def test_a_breach_above_what_is_forgiven_is_not(solution, breach):
     assert lax.violation.max() == pytest.approx(strict.violation.max())
 
 
+def test_a_limit_on_a_rate_counts_as_the_same_limit_on_the_control_that_it_equals():
+    bounded, stated = bang_bang.build(), bang_bang.build()
+    lower, upper = (getattr(bounded.u[0], side) for side in ("lb", "ub"))
+    for t in stated.tau:
+        stated.u[t].setlb(None)
+        stated.u[t].setub(None)
+    stated.most = Constraint(stated.tau, rule=lambda m, t: m.dv_dtau[t] / m.duration <= upper)
+    stated.least = Constraint(stated.tau, rule=lambda m, t: m.dv_dtau[t] / m.duration >= lower)
+    found = [
+        estimate_error(collocation.compile(m).solve(mesh=Mesh.uniform(4, 4))).violation
+        for m in (bounded, stated)
+    ]
+    assert found[0].max() > 1e-3
+    assert found[1] == pytest.approx(found[0], rel=1e-3, abs=1e-6)
+
+
 @pytest.mark.lengthy
 @pytest.mark.parametrize("breach", [0.0, 0.01])
 def test_a_control_held_to_its_limit_misses_what_its_flight_does(breach):
