@@ -44,7 +44,17 @@ def side_by_side(
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
     The block receives a function that returns all results in order. A task that gives no result in
-    a copy runs again here. After a stop (`is_stopped`), it must then return at once.
+    a copy runs again in this process.
+
+    Parameters
+    ----------
+    tasks : sequence of callable
+        Functions without arguments.
+    use_blas : bool, optional
+        Whether tasks call BLAS; see `cores`.
+    is_stopped : callable, optional
+        Function that returns whether the work was stopped. The copies are then not waited for.
+        Their unfinished tasks run again in this process, and must return at once.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -100,7 +110,8 @@ def cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes among which tasks are divided, at most ``most``.
 
     The result counts this process and its forked copies. It is 1 in a worker process, and where a
-    fork is not safe.
+    fork is not safe. If the tasks call BLAS (`use_blas`), a fork is safe only if the environment
+    variable OMP_NUM_THREADS is 1.
     """
     # A forked copy lacks the threads of BLAS.
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
@@ -157,8 +168,8 @@ _work: Callable[[], Any] | None = None
 def _begin(work: Callable[[], Any] | None) -> None:
     """Initialise a process of a pool, which calls this function once at its start.
 
-    The process stores the function `work`. It now ends if it receives SIGTERM, or if its parent
-    process ends.
+    The process stores the function `work`, which `_at_work` calls; None in a pool that does not use
+    `_at_work`. The process now ends if it receives SIGTERM, or if its parent process ends.
     """
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work

@@ -209,7 +209,9 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    If a plan was made, the returned scenario has the duration and the waypoint times of the plan.
+    `followed` is None under model-predictive control, which has `knowledge` of the wind. If a plan
+    is made, `watch` records the solve's time. The returned scenario then has its duration and
+    waypoint times.
 
     Raises
     ------

@@ -143,8 +143,8 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 def raise_on_interrupt() -> Iterator[None]:
     """Context manager: stop the ``with`` block by `KeyboardInterrupt` at the first signal.
 
-    The block can then clean up. Later signals are ignored. A process that runs only the command
-    ends within half a second.
+    The block can then clean up, and later signals are ignored. The signal also starts a timer. If
+    the process runs only the command, the timer ends it after half a second.
 
     Raises
     ------
@@ -184,14 +184,14 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process after `patience_s` seconds; return whether this is allowed.
+    """Set a timer that ends the process after `patience_s` seconds, if the process may be ended.
 
-    It is allowed if the process runs only the command, and no other code such as tests.
+    The result states whether it may. It may after a call of `end_on_signals`, because it then runs
+    only the command. A running timer that ends sooner is kept.
     """
     # A test that calls the command in its own process is not ended.
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]
-    # If a timer is running already, the timer that ends sooner is kept.
     if is_own and not 0.0 < left_s <= patience_s:
         signal.setitimer(signal.ITIMER_REAL, patience_s)
     return is_own

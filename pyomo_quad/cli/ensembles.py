@@ -78,7 +78,8 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
     """Yield the lines that the command prints about the simulated flights of a plan.
 
-    `savings` has one entry for each speed of an autopilot, flown in the same winds.
+    `savings` compare their energy with that of an autopilot in the same winds. There is one entry
+    for each speed of the autopilot.
     """
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")

@@ -69,21 +69,23 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Simulate a flight of the scenario's vehicle by the package's own equations of motion.
+    """Simulate a flight of the scenario's vehicle by the package's equations of motion.
 
     If `reference` is None, the controls of `plan` are applied without feedback. Otherwise, the
-    adaptive controller follows the reference.
+    adaptive controller follows the reference. If the scenario gives no speed for
+    `Reference.CRUISE`, the cruise is tuned for least energy. `plan`, if given, sets the initial
+    state. Only `Reference.PLAN` and None require it.
 
     Raises
     ------
     ScenarioError
-        For a cruise, if the scenario gives several speeds, or no tuned flight arrives within the
-        limits.
+        For `Reference.CRUISE`, if the scenario gives several speeds, or if no tuned flight arrives
+        within the limits.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
         if asked.baseline.cruise_speeds is None:
-            # Speed, acceleration and jerk are tuned for least energy.
+            # Speed, acceleration and jerk are tuned.
             return tune_cruise(asked, plan, planner).flight
         return fly_cruise(asked, own_cruise(asked), plan, planner)
     dynamics = vehicle_flown(planner, scenario)
@@ -117,8 +119,9 @@ def fly_rotorpy(
 ) -> Flight:
     """Simulate the scenario's vehicle in RotorPy, a simulator by other authors.
 
-    RotorPy computes the motion. The planner's compiled model gives power, battery and wind. `pilot`
-    is a value of the enumeration `Pilot`.
+    RotorPy computes the motion. The planner's compiled model gives power, battery and wind. The
+    controller `pilot`, a value of `Pilot`, follows the reference `followed`, if it has feedback.
+    `plan`, if given, sets the initial state. Open loop and `Reference.PLAN` require a plan.
     """
     plant = OutsidePlant(scenario, planner.dynamics(scenario))
     return fly_outside(plant, Pilot(pilot), followed, plan)

@@ -1,4 +1,8 @@
-"""Commands `vehicle` (write a vehicle file) and `vehicles` (compare with measured powers)."""
+"""Commands `vehicle` and `vehicles`.
+
+The command `vehicle` writes a vehicle file from its owner's data. The command `vehicles` compares
+power that the models compute with measured power, for library vehicles and for data sheets.
+"""
 
 import sys
 from pathlib import Path

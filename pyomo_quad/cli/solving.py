@@ -156,9 +156,10 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save the best iterate of a stopped solve in the folder NAME-interrupted; return a message.
+    """Save the best iterate of a stopped solve beside its report folder, and return a message.
 
-    Nothing is saved if the scaled constraint violation exceeded 1e-4 at all recorded iterations.
+    The new folder has the name of `folder`, the report folder, followed by "-interrupted". Nothing
+    is saved if the scaled constraint violation exceeded 1e-4 at all recorded iterations.
     """
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
@@ -262,8 +263,8 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
     """Yield the lines that a command prints about a plan.
 
     For a flyable plan, the lines give status, energy, estimated error, and the probability that a
-    flight breaks a limit. For a failed plan, they list the equations violated most and the limits
-    reached.
+    flight breaks a limit. For a failed plan, they concern the best iterate of the solve: the
+    equations that it violates most, and the limits of the model that it reaches.
     """
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
@@ -295,9 +296,10 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 
 
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Print why a plan failed or misses accuracy or risk, and all warnings, to standard error.
+    """Print why a plan is not verified or exceeds its permitted risk, and warnings, to stderr.
 
-    The messages refer to the report folder `folder`. A successful plan may also have warnings.
+    The warnings are `cautions`; a successful plan may also have some. The message about a plan that
+    is not verified names the report folder `folder`.
     """
     name = plan.scenario.name
     if not plan.is_verified:

@@ -393,8 +393,8 @@ def _read(
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
     """Read measured flights, and the description of the vehicle that flew them.
 
-    All flights are read if `flights` is None. If it is a CSV file with the columns "flight" and
-    "split", only flights whose "split" is "fit" are read.
+    `vehicle` names a library vehicle or a vehicle file. All flights are read if `flights` is None.
+    From a CSV file with columns "flight" and "split", only those with "fit" are read.
 
     Returns
     -------

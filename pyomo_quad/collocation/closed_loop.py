@@ -1,9 +1,12 @@
 """Vehicle and control law in closed loop, compiled to one CasADi function.
 
 The function is the right-hand side of the closed loop. Its joint state consists of the vehicle's
-states, the law's own states, and the integral of the objective's integrand. The control law is
-written in Python, for numbers. To compile the law, it is called once with symbols instead of
-numbers.
+states, the law's own states, and the integral of the objective's integrand. The command is the
+vector of values that the law is to follow, such as a reference position. The time-dependent inputs
+of the vehicle's equations are the list that `Dynamics.moment` returns, for example with the wind.
+
+The control law is written in Python, for numbers. To compile the law, it is called once with
+symbols instead of numbers.
 """
 
 from __future__ import annotations
@@ -118,7 +121,8 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     """Compile a control law to a CasADi function.
 
     The function maps (joint state, command) to (controls, time derivatives of the law's own
-    states). `sizes` are from `joint_sizes`.
+    states). `sizes` are from `joint_sizes`; the second and the third are the lengths of joint state
+    and command.
 
     Raises
     ------
@@ -158,7 +162,8 @@ def closed(
     """Return a closed loop in CasADi: its symbols, the rates of the joint state, the controls.
 
     The symbols are three columns: time-dependent inputs of the equations, joint state, command.
-    `numbers` maps names of parameters to symbols that replace them. Unknown names are ignored.
+    `sizes`, from `joint_sizes`, are the lengths of these columns. `numbers` maps names of
+    parameters to symbols that replace them. Unknown names are ignored.
     """
     written = written_law(dynamics, law, sizes)
     names = ("moment", "joint", "command")

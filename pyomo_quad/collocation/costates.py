@@ -50,7 +50,7 @@ class Costates:
     at_points : ndarray, shape (n_points, n_states)
         Costates at the collocation points, by integrating the adjoint equations.
     stages : ndarray, shape (n_points, n_states)
-        Less accurate costates there, directly from the multipliers.
+        Less accurate costates at the collocation points, directly from the multipliers.
     hamiltonian : ndarray, shape (n_points,)
         H = L + p . dx/dt at the collocation points, with costates p, states x, and integrand L of
         the minimised objective per unit of physical time.
@@ -124,8 +124,10 @@ def costates_of(
 ) -> Costates:
     """Compute costates and Hamiltonian from the multipliers of a nonlinear program.
 
-    The unscaled program has the `multipliers` at the solution `z`. `objective` is the magnitude of
-    the objective. See docs/theory/transcription.md, eqs. (9) to (12).
+    The unscaled program has the `multipliers` at the solution `z`; `bounds` are those of its
+    unknowns. `timeline` maps fractions of the horizon to physical time. `objective` is the
+    objective's reference magnitude, the number a in `Costates.sizes`. See
+    docs/theory/transcription.md, eqs. (9) to (12).
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
     by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))

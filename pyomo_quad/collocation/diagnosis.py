@@ -1,7 +1,9 @@
 """Diagnosis of a failed solve: violated equations, active limits, and least relaxation.
 
 The least relaxation is the least amount by which the model's limits must be relaxed to satisfy all
-equations. The best iterate is the point with the least constraint violation that the solve found.
+equations. All limits of one Pyomo component form a family, which has one common relaxation: its
+slack. The slack is relative to the reference magnitudes of the limits; see `SoftRows`. The best
+iterate is the point with the least constraint violation that the solve found.
 """
 
 from __future__ import annotations
@@ -114,10 +116,10 @@ class SoftRows:
 
 
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
-    """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
+    """Yield the one-sided limits on unknowns of the program, for `SoftRows.of`.
 
-    A limit is (component, -1, index of the unknown, sign, value, 1 / scaling factor). The value may
-    be infinite.
+    A limit is (component, -1 for no constraint, index of the unknown, sign, value, 1 / scaling
+    factor). The sign is 1 for upper and -1 for lower limits. The value may be infinite.
     """
     for limit in limits:
         for k, column in enumerate(limit.columns):
@@ -132,8 +134,8 @@ def _soft_program_rows(
 ) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on path inequalities and conditions, for `SoftRows.of`.
 
-    A limit is (component, index of the constraint, -1, sign, value, 1 / scaling factor). The value
-    may be infinite.
+    A limit is (component, index of the constraint, -1 for no unknown, sign, value, 1 / scaling
+    factor). The sign is 1 for upper and -1 for lower limits. The value may be infinite.
     """
     equations = program.compiled.declared.equations
     rows = [
@@ -356,8 +358,8 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which limits are relaxed, and return Ipopt's result.
 
-    The unknowns of the result begin with those of the failed program, and end with one slack per
-    family.
+    `soft` are the limits. The unknowns of the result begin with those of the failed program, and
+    end with one slack per family.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)
@@ -431,7 +433,10 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 
 
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
-    """Return the limits that are active at the best iterate, one item per model component."""
+    """Return the limits that are active at the best iterate, one item per model component.
+
+    `soft` are the one-sided limits of the model that are tested.
+    """
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])
     touches = soft.sign * (held - soft.limit) >= -_MET * soft.size
@@ -459,7 +464,8 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
     """Return by how much the limits of each component must be relaxed, the most relaxed first.
 
-    `slacks`, shape (n_families,), are relative to the reference magnitudes of the limits.
+    `soft` are these limits. `slacks`, shape (n_families,), are the relative relaxations of the
+    components; each component has one family of limits.
     """
     found = []
     for k in np.argsort(-slacks):

@@ -1,6 +1,11 @@
 """Equations of a Pyomo model as an explicit right-hand side dx/dt = f(t, x, u), for simulation.
 
 The same equations also give the values of model components along a given trajectory.
+
+The compiled function has four inputs: states, controls, static variables (variables without time)
+and data. The data are the time-dependent inputs, then the constant parameters. The time-dependent
+inputs are the fraction s of the horizon, then quantities such as the wind; see `Dynamics.moment`.
+They do not contain the controls.
 """
 
 from __future__ import annotations
@@ -100,7 +105,7 @@ class Dynamics:
     state_names : tuple of str
         States of the nonlinear program, then output states (states on which nothing depends).
     control_names : tuple of str
-        Algebraic variables that no equation determines: the inputs of a simulation.
+        Algebraic variables that no equation determines. A simulation requires their values.
 
     Raises
     ------
@@ -162,7 +167,11 @@ class Dynamics:
         return casadi.Function(_RIGHT_HAND_SIDE, inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side as a CasADi function that solves `core` by Newton's method."""
+        """Return the right-hand side as a CasADi function that solves `core` by Newton's method.
+
+        `core` are the implicit equations. `inputs` are the four columns of symbols of states,
+        controls, static variables and data.
+        """
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
         stacked = casadi.vertcat(*symbols)
@@ -297,11 +306,13 @@ class Dynamics:
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
         """Return a column of symbols for the time-dependent inputs, with some of them replaced.
 
+        The time-dependent inputs are those of the compiled equations, without the controls.
+
         Parameters
         ----------
         moment : casadi.SX or casadi.MX
-            Column of symbols for the time-dependent inputs, in the order of the list that
-            `Dynamics.moment` returns.
+            Column of symbols for the time-dependent inputs at one time, in the order of the list
+            that `Dynamics.moment` returns.
         changed : mapping
             Full name of a time-dependent parameter -> its new symbol. Other names are ignored.
         """
@@ -371,9 +382,9 @@ class Dynamics:
         return casadi.vertsplit(found)
 
     def _row(self, t: float) -> FloatArray:
-        """Return the data input of the compiled right-hand side at the physical time `t`.
+        """Return the data of the compiled right-hand side at the physical time `t`.
 
-        It has the inputs that `moment` returns, then the constant parameters. The next call
+        The array has the time-dependent inputs, then the constant parameters. The next call
         overwrites it.
         """
         moment = self.moment(t)
@@ -383,7 +394,8 @@ class Dynamics:
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
         """Evaluate the right-hand side at one physical time, for states x and controls u.
 
-        Each output of `_compile` is returned as one row.
+        Each of the two arrays has one row. The first has the rates dx/ds, then the determined
+        algebraic variables. The second has the objective's integrand per unit of s, then dt/ds.
         """
         row = self._row(t)
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
@@ -432,10 +444,10 @@ class Dynamics:
 
     @property
     def _slopes(self) -> Any:
-        """CasADi function of the Jacobians of the right-hand side, with the inputs of `_compile`.
+        """CasADi function of the Jacobians of the right-hand side, with the same four inputs.
 
-        Output 1: integrand and dt/ds. Outputs 2 and 3: derivatives of output 1 of `_compile` with
-        respect to states and to controls.
+        Output 1: the objective's integrand per unit of s, then dt/ds. Outputs 2 and 3: derivatives
+        of rates dx/ds and determined algebraic variables with respect to states and to controls.
         """
         kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
         if key not in kept:
@@ -844,11 +856,20 @@ def _solved_for(rows: Any, unknowns: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class _Core:
-    """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
+    """Implicit equations, split into a nonlinear part for Newton's method and a linear part.
 
-    `inner` are the unknowns of the nonlinear part. `residual` maps (`inner`, all inputs of
-    `Dynamics._compile` as one column) to the residual of this part. `known` has the same arguments.
-    It returns all unknowns, then integrand and dt/ds.
+    The unknowns are the rates dx/ds, then the determined algebraic variables.
+
+    Attributes
+    ----------
+    inner : casadi.SX
+        Column of the unknowns of the nonlinear part.
+    residual : casadi.Function
+        (`inner`, inputs) -> residual of the nonlinear part. The inputs are states, controls, static
+        variables and data, as one column.
+    known : casadi.Function
+        (`inner`, inputs) -> two columns: all unknowns; the objective's integrand per unit of s,
+        then dt/ds.
     """
 
     inner: Any
@@ -857,10 +878,11 @@ class _Core:
 
     @classmethod
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
-        """Split the equations with residuals `rows`, and solve the linear rest symbolically.
+        """Split the equations with residuals `rows`, and solve the linear part symbolically.
 
-        `unknowns` are the rates, then the determined algebraic variables. `inputs` and `rest` are
-        the inputs and the second output of `Dynamics._compile`.
+        `unknowns` are the rates, then the determined algebraic variables. `inputs` are the columns
+        of states, controls, static variables and data. `rest` is the column of the objective's
+        integrand per unit of s, and dt/ds. All are CasADi expressions.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -882,7 +904,11 @@ class _WithoutIterations(Dynamics):
     """Right-hand side that solves implicit equations by 20 Newton steps, written out in CasADi."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side as a CasADi function with 20 Newton steps written out."""
+        """Return the right-hand side as a CasADi function with 20 Newton steps written out.
+
+        `core` are the implicit equations. `inputs` are the four columns of symbols of states,
+        controls, static variables and data.
+        """
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
         slope = casadi.Function(
@@ -899,10 +925,11 @@ class _WithoutIterations(Dynamics):
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
-    """Return (equations, unknowns) of the nonlinear part and of the linear rest, by position.
+    """Split equations into a nonlinear and a linear part: (equations, unknowns) of each part.
 
-    The nonlinear part has all unknowns that enter an equation nonlinearly, and all equations that
-    contain no other unknowns.
+    The result has positions in the CasADi columns `rows` of residuals and `unknowns`. The nonlinear
+    part has the unknowns that enter an equation nonlinearly, and the equations that contain no
+    others.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)

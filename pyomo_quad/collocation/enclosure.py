@@ -195,7 +195,11 @@ class Enclosure:
 
 
 class _Steps:
-    """Elementary operations of a CasADi function (variables, numbers), evaluated on intervals."""
+    """Elementary operations of a CasADi function, evaluated on intervals.
+
+    The function has two inputs: the variables, which range over intervals, and the numbers, which
+    have single values.
+    """
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -222,7 +226,8 @@ class _Steps:
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
         """Return lower and upper bounds of each output over n boxes, shape (n_rows, n) each.
 
-        The corners `low` and `high` of the boxes have shape (n_variables, n).
+        The corners `low` and `high` of the boxes have shape (n_variables, n). The values `numbers`
+        of the second input, shape (n_numbers,), are the same for all boxes.
         """
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}

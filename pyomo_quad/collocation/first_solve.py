@@ -3,6 +3,9 @@
 Fallback strategies change the initial point, the mesh or the settings of Ipopt. The table
 `strategies.STRATEGIES` lists them, with the strategies for the other parts of a solve. This module
 handles models with one horizon or several.
+
+Redundant conditions are constraints at single times, or fixed values, that follow from other
+equations. One strategy leaves them out of the solve.
 """
 
 from __future__ import annotations
@@ -119,11 +122,11 @@ class FirstSolve(Search[S], Generic[S]):
         return found
 
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
-        """Solve from the initial point that a solution strategy prescribes; return the result.
+        """Solve from the initial point that the caller requested, and return the result.
 
-        This class ignores `first`, and starts from the caller's initial point. A subclass returns
-        None if the problem has no initial point of this kind. `own` maps (mesh, start) to a
-        solution on this one mesh.
+        Here, the kind `first` of the initial point is ignored. A subclass starts from a point of
+        this kind, and returns None if the problem has none. `own`, which is `solve` with the
+        strategy's settings, maps (mesh, start) to a solution on this one mesh.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -144,7 +147,8 @@ class FirstSolve(Search[S], Generic[S]):
     def failure(self, last: S) -> S:
         """Return the result to report if all strategies have failed.
 
-        It is the result of the solve that the caller requested, with a verdict on feasibility.
+        It is the result of the solve that the caller requested, with a verdict on feasibility. The
+        result `last` of the strategy tried last is ignored.
         """
         del last
         return self.judged
@@ -157,7 +161,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     Attributes
     ----------
     bounds_of : callable
-        Nonlinear program -> bounds, also those of conditions that follow from other equations.
+        Nonlinear program -> its bounds, with those of the redundant conditions that a solve left
+        out. They show whether its solution violates these conditions.
     simulate : callable, optional
         () -> simulated initial guess; see `Problem._simulated`. The attribute is None if the caller
         gave a guess, a warm start, or no tolerance.
@@ -196,8 +201,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        The result is None if the problem has no initial point of the kind `first`. `First.REDUCED`
-        also gives None if the solve fails or violates a condition that was left out.
+        `own` maps (mesh, start) to a solution on this one mesh. The result is None if the problem
+        has no initial point of the kind `first`. `First.REDUCED` leaves out redundant conditions;
+        it also gives None if the solve fails or violates one.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
@@ -228,10 +234,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return without_bound(found) if diverged else with_surplus(found)
 
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
-        """Solve without redundant conditions, which follow from other equations.
+        """Solve without redundant conditions, such as an end condition on a conserved quantity.
 
-        An example is an end condition on a conserved quantity. The result is None if no condition
-        is redundant, if the solve fails, or if its solution violates a redundant condition.
+        `solve_on` maps (mesh, start) to a solution on this mesh, which is None without time. The
+        result is None if no condition is redundant, or if the solve fails or violates one.
         """
         # Redundant conditions are detected at a point of least constraint violation near the start.
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))

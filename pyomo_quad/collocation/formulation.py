@@ -181,8 +181,9 @@ class Evaluator:
     def is_over_time(self, component: str, index: Any = None) -> bool:
         """Return whether a variable or expression depends on time.
 
-        `component` is its full name. `index` is i for ``x[i, t]``, and omitted for ``x[t]``. If the
-        component has no such index, the result is True.
+        `component` is its full name. `index` is i for ``x[i, t]``, and omitted for ``x[t]``. If a
+        component over time has no such index, the result is True. Its evaluation then raises an
+        error that names the index.
         """
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None

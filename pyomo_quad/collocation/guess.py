@@ -53,10 +53,12 @@ def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> Flo
 def initial_point(
     program: Transcription, bounds: Bounds, values: ModelValues, guess: Guess | None
 ) -> FloatArray:
-    """Return an initial point that is interpolated between known values, inside the bounds.
+    """Return an initial point inside the bounds, from a guess and the values in the model.
 
-    The known values are those of `_Known`. A `Trajectory` is only interpolated and moved inside the
-    bounds.
+    If `guess` is a `Trajectory`, it is interpolated to the program's mesh. Otherwise, `guess` gives
+    values by variable name. Other variables are interpolated between fixed values and `values`,
+    those in the Pyomo model. Algebraic variables without values are computed from equations that
+    define them.
 
     Raises
     ------
@@ -98,13 +100,13 @@ def first_point(
 ) -> FloatArray:
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
-    If `seed` is above 0, the corrected point is a random point of `scattered`, otherwise that of
-    `initial_point`.
+    The point before the correction is that of `initial_point` or, if `seed` is above 0, a random
+    point of `scattered`. The correction moves states onto equations among states alone. If an
+    equation or a derivative is still NaN, it also adjusts the algebraic variables.
     """
     z = initial_point(program, bounds, values, guess)
     z = scattered(program, bounds, z, seed) if seed else z
     z = on_path_equalities(program, bounds, z)
-    # The adjusted variables nearly satisfy the equations at each collocation point.
     return z if is_defined(program, z) else with_consistent_algebraics(program, bounds, z)
 
 
@@ -124,8 +126,8 @@ class _Known:
     def over_time(self, slot: Slot, columns: Any, fractions: FloatArray) -> FloatArray:
         """Return initial values of a variable over time, interpolated between its known values.
 
-        `columns` are the positions of the n values among the unknowns, and `fractions` are their
-        times.
+        `columns` are the positions of the variable's unknowns in the nonlinear program. `fractions`
+        are the times of these unknowns, as fractions of the horizon.
         """
         if slot.name in self.given:
             return self._guess_at(slot.name, fractions)
@@ -144,8 +146,8 @@ class _Known:
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        If an end of the horizon is a variable, the argument of a function is the fraction, and the
-        times of samples are scaled to the range from 0 to 1.
+        The guess is a number, samples, or a function of time. If an end of the horizon is free, the
+        function takes the fraction, and samples span the horizon.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -189,7 +191,11 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Set the free times, which the solve determines, in increasing order in `z` in place."""
+        """Make the values of the free times in the vector of unknowns `z` increase, in place.
+
+        The solve determines free times. A free time without a value in model and guess takes its
+        declared time. A value out of order is replaced by one after the preceding time.
+        """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
         slots = {slot.name: k for k, slot in enumerate(statics)}
@@ -197,7 +203,6 @@ class _Known:
         free = {k: slots[t.name()] for k, t in enumerate(clock.times) if str(t) in slots}
         for k, static in free.items():
             slot = statics[static]
-            # A free time without a value in model and guess begins at the declared time.
             if self.values.static_value(slot) is None and slot.name not in self.given:
                 z[columns[static]] = _inside(clock.declared[k], bounds, int(columns[static]))
         times = program.times(z)
@@ -254,7 +259,8 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     """Move states as little as possible until they satisfy the equations among states alone.
 
     An example is a path that a vehicle must follow. The algebraic variables are then adjusted to
-    the states. The result is `z` itself if the residual did not decrease.
+    the states. The result is `z` itself if moving the states did not decrease the largest residual
+    of these equations.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -329,8 +335,8 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number`, moved inside the bounds of the unknown `column`.
 
     A value that is NaN or outside becomes the middle of finite bounds, or the only finite bound.
-    If both bounds are infinite, NaN becomes inf.
     """
+    # If both bounds are infinite, NaN becomes inf.
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
         return number

@@ -367,7 +367,10 @@ class JointProblem(Summarised):
         )
 
     def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
-        """Raise an error for arguments of `solve` that only problems with one horizon support."""
+        """Raise an error for arguments of `solve` that only problems with one horizon support.
+
+        Here, `horizon` must be None, and `starts`, the number of initial points, must be 1.
+        """
         names = ", ".join(self.horizons)
         if horizon is not None:
             raise TranscriptionError(
@@ -381,6 +384,8 @@ class JointProblem(Summarised):
 
     def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
         """Return the mesh of each horizon, or None for each horizon if `mesh` is None.
+
+        A single `Mesh` is that of all horizons. A mapping has names of horizons as keys.
 
         Raises
         ------
@@ -577,7 +582,8 @@ class JointProblem(Summarised):
     ) -> tuple[FloatArray, Multipliers | None]:
         """Return the initial point of the joint program inside `bounds`, and its multipliers.
 
-        The multipliers are None if `start` has no warm start.
+        `union` has the programs of all horizons, and the positions of their unknowns in the joint
+        program. The multipliers are None if `start` has no warm start.
         """
         if start.warm is not None:
             starts = zip(start.warm, union.programs, strict=True)
@@ -597,8 +603,8 @@ class JointProblem(Summarised):
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
         """Set the static variables in `z` that stand for values of one horizon in the coupling.
 
-        An example of such a value is the derivative of a state at the end of the horizon. `places`
-        are the positions of the horizon's unknowns in `z`.
+        An example is a state's derivative at the end. `places` are the positions in `z` of the
+        unknowns of the horizon's `program`. `union` has those of the static variables.
         """
         if program.mesh is None:
             return
@@ -639,7 +645,8 @@ class JointProblem(Summarised):
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
     """Compile a model to a `Problem` or, with several continuous sets, to a `JointProblem`.
 
-    `times` has the form that the returned class requires.
+    `final_time` is the variable that becomes the end of the only horizon, as in `Problem`. `times`
+    are the physical times that the solve determines, in the form that the returned class requires.
 
     Raises
     ------

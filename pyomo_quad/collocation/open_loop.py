@@ -2,7 +2,9 @@
 
 The steps have order 8, with the coefficients and the error estimate of SciPy's `DOP853`. SciPy
 calls Python for each of the twelve stages of a step. Here all stages form one CasADi function,
-which is faster, especially for many short flights.
+which is faster, especially for many short flights. The time-dependent inputs of the vehicle's
+equations are the list that `Dynamics.moment` returns, for example with the wind. They do not
+contain the controls.
 
 The module serves the search for a plan. The finished plan is verified with SciPy's own integrator.
 """
@@ -131,8 +133,8 @@ class OpenLoopSteps:
     ) -> Iterator[tuple[Any, ...]]:
         """Return the times and inputs of n Runge-Kutta steps, one tuple per step.
 
-        The tuple is (start [s], end [s], time-dependent inputs, controls, duration [s]). Inputs and
-        controls are given at all stages.
+        The tuple is (start [s], end [s], time-dependent inputs of the equations, controls, duration
+        [s]). The arrays of inputs and of controls have the values at all stages.
         """
         widths = ends - starts
         times = starts[:, None] + widths[:, None] * DOP853.C
@@ -148,8 +150,8 @@ class OpenLoopSteps:
     ) -> tuple[FloatArray, float]:
         """Return the joint state after one step, and the step's error relative to the tolerance.
 
-        The error is infinite if the state is not finite. `inputs` are the last three items from
-        `_inputs`.
+        The error is infinite if the state is not finite. `inputs` are three arrays: time-dependent
+        inputs at all stages, controls at all stages, and the step's duration [s].
         """
         outputs = self._step(joint[None, :], *(values[None, :] for values in inputs))
         after, high, low = (output[0] for output in outputs)
@@ -164,9 +166,9 @@ class OpenLoopSteps:
 def _step(rates: Any) -> Any:
     """Return one step of DOP853 as a CasADi function.
 
-    `rates` is `ClosedLoop.function`, with the controls as command. Inputs: joint state,
-    time-dependent inputs and controls at all stages (one column each), duration. Outputs: new joint
-    state, error estimates of order 5 and 3.
+    `rates`, from `ClosedLoop`, maps (time-dependent inputs, joint state, controls) to the joint
+    state's rates. Inputs: state, time-dependent inputs and controls at all stages (a column
+    each), duration. Outputs: new state, error estimates of orders 5, 3.
     """
     n_moment, n_joint, n_controls = (rates.numel_in(k) for k in range(3))
     joint, width = casadi.MX.sym("joint", n_joint), casadi.MX.sym("width")

@@ -60,6 +60,9 @@ _SUBSTEPS, _LARGEST_STATE = 10, 1e12
 class Problem(Summarised, Formulation):
     """Optimal control problem: a Pyomo.DAE model compiled for collocation.
 
+    States without bounds that affect neither the objective nor other equations are output states.
+    They are computed after the solution of the nonlinear program.
+
     A problem can be pickled. The pickle holds the parameter values, bounds and initial values that
     the Pyomo model has at that time. It does not hold the model itself. A restored problem can
     solve and evaluate.
@@ -204,8 +207,8 @@ class Problem(Summarised, Formulation):
     ) -> Solution:
         """Solve from a warm start or guess; refine the mesh if a tolerance is given.
 
-        If `starts` is above 1, the program on the first mesh is solved from several initial points.
-        The best optimum then becomes the warm start.
+        `mesh` is the first mesh, by default that of the warm start or `refinement`. `instance` has
+        parameter values. If `starts` > 1, the best optimum from several points is the warm start.
         """
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
@@ -257,8 +260,8 @@ class Problem(Summarised, Formulation):
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
         """Return a simulation of the model from its initial states as a guess, or None.
 
-        The result is None if the model has controls, free initial states or output states, or if
-        the simulation fails.
+        The result is None if the simulation fails. It is also None if the model has controls,
+        output states, or states with a free initial value. `instance` has parameter values.
         """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
@@ -538,7 +541,8 @@ def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
     With several horizons, there is one solution per horizon, and one for variables of no horizon.
-    Derivatives at declared times, integrals and suffixes are loaded, too.
+    Variables and derivatives over time are loaded at declared times, the members of the continuous
+    set. Integrals and suffixes are loaded, too.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

@@ -182,7 +182,11 @@ class PyomoSolver:
 
 
 def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
-    """Raise an error for a keyword argument that `PyomoSolver.solve` does not take."""
+    """Raise an error for a keyword argument that `PyomoSolver.solve` does not take.
+
+    It takes its own arguments and, except `progress`, those of `problem.solve`. `problem` is the
+    compiled Pyomo model.
+    """
     known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
     # A caller may not give `progress`, because `PyomoSolver.solve` sets it to print the iterations.
     taken = known - {"self", "model", "arguments", "progress"}

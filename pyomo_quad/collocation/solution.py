@@ -223,8 +223,8 @@ class Solution(Outcome):
     scaling : Scaling
         Scaling factors of the program.
     restraint : Restraint or None
-        Estimated increase of the objective, by element, by bounds that are imposed between the
-        collocation points; None if bounds are imposed at the points only.
+        Estimate of how much the bounds between the collocation points increase the objective, with
+        one value for each element. None if bounds are imposed at the points only.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """

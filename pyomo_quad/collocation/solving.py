@@ -2,7 +2,7 @@
 
 A solve from a warm start has a budget: the iterations that an earlier solve from the guess took, on
 the first mesh and on all meshes. If the budget is exceeded, the problem is solved from the guess
-instead. A solve that is stopped early returns the solution on the most accurate mesh.
+instead (cold start). A solve that is stopped early returns the solution on the most accurate mesh.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ class _WholeSolve(Search[S], Generic[S]):
     def _cold(self, effort: Effort) -> S:
         """Solve from the guess, without the warm start, and record the number of iterations.
 
-        The record, `cold_start` of the result, is the budget of later solves from a warm start.
+        `effort` is the progress callback of the solve, and counts the iterations. The record,
+        `cold_start` of the result, is the budget of later solves from a warm start.
         """
         cold = self.solve(self.start.cold, effort)
         took = ColdStart(first=effort.first, iterations=effort.count, tolerance=self.tolerance)
@@ -97,8 +98,8 @@ class _WholeSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether the most recent result ends the search; the argument is not used.
 
-        The search goes on if the warm start used up its budget, or if the cold start after it
-        failed.
+        If the solve from the warm start exceeds its budget, a cold start follows. If that fails,
+        the solve from the warm start continues.
         """
         del found
         return self.has_ended
@@ -114,8 +115,9 @@ def within_budget(
 ) -> S:
     """Solve from a warm start; if its budget is used up, solve from the guess.
 
-    There is a budget only if `is_known`, and if `start` records a solve from the guess with the
-    same `tolerance`. If the new solve from the guess fails, the warm start continues without a
+    The budget is the number of iterations that `start` records for an earlier solve from the guess.
+    There is no budget if that solve had another `tolerance`, or if `is_known` is false: the record
+    then does not apply. If the new solve from the guess fails, the warm start continues without a
     budget.
     """
     # Several initial points take more iterations than the recorded solve from one point. `is_known`
@@ -141,8 +143,10 @@ def carried_out(
 ) -> S:
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
-    The mesh is refined to `tolerance`, or to 1e-6 if the caller gave neither a tolerance nor a
-    mesh. A tolerance not above 0 raises a TranscriptionError.
+    `attempt` solves once from a starting point, and refines the mesh if it gets a tolerance. This
+    is `tolerance`, or 1e-6 if the caller gave neither a tolerance nor a mesh. A warm start has a
+    budget of iterations only if `is_known`; it has none for several initial points. A tolerance not
+    above 0 raises a TranscriptionError.
     """
     if tolerance is not None and not tolerance > 0.0:
         raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")

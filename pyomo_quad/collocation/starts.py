@@ -296,14 +296,14 @@ class Start:
     seed : int
         Seed of a random initial point; 0 for none.
     is_elastic : bool
-        Whether to start from the optimum of the elastic program.
+        Whether to start from the optimum of the elastic program, in which equations over time may
+        be violated at a penalty.
     """
 
     warm: Any = None
     guess: Any = None
     # The random point lies between the bounds of the variables.
     seed: int = 0
-    # In the elastic program, equations over time may be violated at a penalty.
     is_elastic: bool = False
 
     @classmethod
@@ -323,9 +323,10 @@ class Start:
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Numbers of iterations of an earlier solve from the guess, or None if they are not known.
+        """Numbers of iterations that an earlier solve from an initial guess took, None if unknown.
 
-        The warm start contains them. With several horizons, the first warm start is used.
+        They limit the iterations of a solve from the warm start, which contains them. With several
+        horizons, the first warm start is used.
         """
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start

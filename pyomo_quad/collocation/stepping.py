@@ -1,8 +1,9 @@
 """Simulation of many closed loops, each with its own parameters, by fixed Runge-Kutta steps.
 
 A closed loop is a vehicle with the control law that steers it. All vehicles have the same control
-law. Each step uses the classical Runge-Kutta method of order 4; see docs/theory/flights.md, eq.
-(1). The parameters that differ between vehicles may change from step to step, and may thus
+law. A joint state holds the states of a vehicle, those of its control law, and the accumulated
+objective. Each step uses the classical Runge-Kutta method of order 4; see docs/theory/flights.md,
+eq. (1). The parameters that differ between vehicles may change from step to step, and may thus
 represent noise that is constant during a step.
 """
 
@@ -154,10 +155,10 @@ class SteppedLoops:
 
 
 def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: int) -> Any:
-    """Return the CasADi function of one Runge-Kutta step of a closed loop.
+    """Return the CasADi function from the joint state before a Runge-Kutta step to that after it.
 
     `flow` gives the time derivative of the joint state. `sizes` are the numbers of time-dependent
-    inputs, joint states and components of a command.
+    inputs, joint states and components of a command. `n_varied` parameters differ between vehicles.
     """
     n_moment, n_joint, n_command = sizes
     length = dynamics.symbol("length", 1)

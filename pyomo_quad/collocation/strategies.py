@@ -218,8 +218,8 @@ S = TypeVar("S", bound=Any)
 class Search(ABC, Generic[S]):
     """Search for a solution by strategies, which `first_success` tries one after another.
 
-    Subclasses define how a strategy is carried out, whether a condition is true, and which results
-    end the search.
+    A strategy is tried only if its conditions (`Strategy.when`) are true. Subclasses evaluate these
+    conditions, carry out the strategies, and define which results end the search.
     """
 
     @abstractmethod
@@ -252,11 +252,12 @@ class Search(ABC, Generic[S]):
 
 
 def first_success(scope: Scope, search: Search[S]) -> S:
-    """Try the solution strategies of the table `STRATEGIES` in order, until a result is final.
+    """Try the solution strategies of the table `STRATEGIES` in order, until one ends the search.
 
-    Only strategies of the given scope whose conditions are all true are tried. If no result is
-    final, `Search.failure` chooses one. The attribute `tried` of the result lists several attempts
-    with their statuses.
+    Only strategies of the given scope whose conditions are all true are tried. `Search.is_final`
+    states whether a result ends the search. If none does, `Search.failure` chooses the result to
+    return. If more than one strategy was tried, the attribute `tried` of the result lists their
+    names and statuses.
     """
     tried: list[str] = []
     last: Any = None

@@ -160,9 +160,10 @@ def _widths(solution: Solution) -> FloatArray:
 def _assign_bounds(
     solution: Solution, sign: float, dual: Sensitivities, reduced: Sensitivities
 ) -> None:
-    """Add the derivatives of the objective with respect to bounds to `dual` and `reduced`.
+    """Add the derivatives of the objective with respect to bounds to `dual` or `reduced`.
 
-    `sign` is -1 if the objective is maximised, and 1 otherwise.
+    `dual` gets the bounds that constraints on a single variable impose, `reduced` those in the
+    declarations of variables. `sign` is -1 if the objective is maximised, and 1 otherwise.
     """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled
@@ -184,8 +185,6 @@ def _assign_bounds(
             total += np.where(is_own, rest[limit.columns], 0.0)
             rest[limit.columns[is_own]] = 0.0
         prices = sign * total / slopes.get(limit.name, 1.0)
-        # `dual` is for bounds that a constraint on a single variable declares, and `reduced` for
-        # bounds in the declaration of a variable.
         table = dual if limit.name in of_constraints else reduced
         if program.mesh is not None and prices.size >= program.n_points > 1:
             own = prices[-program.n_points :]

@@ -75,9 +75,10 @@ def violation_of(
 def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | None) -> Solution:
     """Return a failed solution with a verdict on the feasibility of its problem.
 
-    The verdict is that of `judged` at the point of least violation. If `progress` returns False,
-    the status becomes interrupted. If the last iterate is not finite, `failed` is returned
-    unchanged.
+    Ipopt minimises the constraint violation from the last iterate of `failed`, with `options` and
+    the callback `progress`. If a violation remains, the status becomes infeasible; see `judged` for
+    other outcomes. If `progress` returns False, the status becomes interrupted. If the last iterate
+    or its constraints are not finite, `failed` is returned unchanged.
     """
     found = violation_of(failed, options, progress)
     if found is not None and found.result.status is Status.INTERRUPTED:
@@ -201,8 +202,9 @@ def outside_tables(solution: Solution) -> str:
 def doubted(solution: S) -> S:
     """Return a solution whose status and message record doubts about its optimality or validity.
 
-    The doubts are a missing objective, a table evaluated outside its data, and diverging
-    multipliers. Diverging multipliers count only if a Hamiltonian varies that should be constant.
+    There is a doubt if the model declares no objective, a table is evaluated outside its data, or
+    multipliers diverge. Diverging multipliers count only if a Hamiltonian varies that should be
+    constant. Without a doubt, the solution is returned unchanged.
     """
     return _within_tables(_undoubted(_without_objective(solution)))
 

@@ -446,11 +446,10 @@ def _write_mission(
 ) -> _Written:
     """Write a plan as a ground station's mission: waypoints joined by straight legs.
 
-    `spelled` converts a QGroundControl mission to the text of the file. For the items of the
-    result, see `_Writer`.
+    The legs are at most `error_m` [m] from the plan. `spelled` converts a QGroundControl mission to
+    text. An existing file is replaced only if it contains `mark`. For the result, see `_Writer`.
     """
     legs = thin(motion, error_m)
-    # An export may replace a file only if the file contains `mark`.
     _write_text(path, spelled(mission(legs, origin, motion, error_m)), mark)
     # None: the file leaves the heading between waypoints to the autopilot.
     return len(legs.times), "waypoints", _deviation(legs, motion), None

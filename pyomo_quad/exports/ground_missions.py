@@ -3,6 +3,9 @@
 The scenario has the mission's places, times of hover, headings, fence and rally points. The planner
 chooses the speeds and the paths between the places. The module reads the file formats that
 `exports.ground_station` writes. Files of Mission Planner have neither a fence nor rally points.
+
+The argument `notes` of several functions collects what a scenario cannot represent: text -> number
+of occurrences. The functions add to it.
 """
 
 import json
@@ -279,9 +282,10 @@ def _plan_file(document: object, source: str) -> _File:
 
 
 def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
-    """Yield the commands of a QGroundControl mission, except waypoints marked with `SHAPES_PATH`.
+    """Yield the commands of a QGroundControl mission, except those that only shape a plan's path.
 
-    A complex item, such as a survey, is replaced by its commands.
+    An exported plan marks such waypoints with `SHAPES_PATH`. A complex item, such as a survey, is
+    replaced by its commands. Error messages begin with the text `source`.
     """
     for k, written in enumerate(items, start=1):
         where, item = f"{source}, item {k}", _table(written)
@@ -378,10 +382,10 @@ def _apart(home: GeodeticOrigin, *places: _Place) -> float:
 def _place_of(
     item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
 ) -> _Place | None:
-    """Return the place to which a command leads, or None if it leads to no place.
+    """Return the place to which the command `item` leads, or None if it leads to no place.
 
-    `first` and `last` are the first and the previous place. A `DO_JUMP` or an invalid value raises
-    a ScenarioError.
+    `first` and `last` are the first and the previous place. Circles and altitudes above the terrain
+    are added to `notes`. A `DO_JUMP` or an invalid value raises a ScenarioError.
     """
     if item.command == Command.RETURN_TO_LAUNCH and first is not None:
         return _Place(position=dict(first.position))
@@ -423,7 +427,11 @@ def _towards(heading: float | None) -> float | None:
 
 
 def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
-    """Return the height above home [m] of the place to which a command leads."""
+    """Return the height above home [m] of the place to which the command `item` leads.
+
+    A height above the terrain counts as above home, and is added to `notes`. An unknown frame or a
+    missing altitude raises a ScenarioError.
+    """
     written = item.params[6]
     if item.frame in _ABOVE_SEA and written is not None:
         return written - home.altitude
@@ -456,7 +464,8 @@ def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
 def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> None:
     """Set the release of the whole payload at the first place where the mission opens a gripper.
 
-    If there is no payload, or no release is possible there, a remark is added to `notes`.
+    Without a payload, or if this place is the start or the goal, a remark is added to `notes`
+    instead.
     """
     opened = [place for place in places if place.is_opened_at]
     if opened and not payload_kg:

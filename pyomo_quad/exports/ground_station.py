@@ -271,7 +271,7 @@ def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[li
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
     """Return the geofence of a QGroundControl plan file, as nested mappings.
 
-    It has the scenario's fence and its keep-out zones without bottom and top.
+    It has the scenario's fence, and those keep-out zones that have neither a bottom nor a top.
     """
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]

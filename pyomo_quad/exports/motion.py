@@ -46,7 +46,8 @@ class ProvenPlan:
     mission : Scenario
         The mission, with the plan's duration and passing times of waypoints.
     trajectories : Trajectories
-        States and controls. For a plan from a report, each quantity is listed as both.
+        States and controls. A report does not tell them apart. For a plan from a report, each
+        column is therefore listed as a state and again as a control.
     is_paper_plan : bool
         Whether the plan has no margins from its limits, because the scenario does not state
         `mission.risk`. A controller that corrects disturbances may then break a limit.
@@ -332,7 +333,8 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    Every quantity is listed both as a state and as a control. Energy and Hamiltonian are zero.
+    The table has one row per node. `degrees` has the degrees of the mesh elements. Every quantity
+    is listed both as a state and as a control. Energy and Hamiltonian are zero.
     """
     times = frame[TIME].to_numpy(dtype=float)
     # The table does not say which quantities are states and which are controls. The equations of
@@ -435,9 +437,9 @@ def fit_pieces(
 ) -> tuple[FloatArray, FloatArray]:
     """Approximate a plan by polynomial pieces of equal duration: durations [s] and coefficients.
 
-    For the arrays, see `PolynomialTrajectory`. The deviation of position [m] and yaw [rad] is at
-    most `path_error_m`. If a state is missing or `most_pieces` do not suffice, a ScenarioError is
-    raised.
+    For the two arrays, see `PolynomialTrajectory`. The deviation of position [m] and yaw [rad] is
+    at most `path_error_m`. A ScenarioError is raised if the plan lacks position, velocity or yaw,
+    or if `most_pieces` pieces do not suffice.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "a polynomial")
     found = 0.0

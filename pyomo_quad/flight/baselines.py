@@ -237,9 +237,9 @@ def fly(
 ) -> ClosedLoopFlight:
     """Simulate a vehicle whose adaptive controller follows a reference path.
 
-    `last` has the controller's states after the previous part of the flight. `system` is the result
-    of `closed_loop`. If the integration fails, the vehicle tumbles or the time is up, a SolveError
-    is raised.
+    `last` has the controller's states after the previous part of the flight, if any. `system` is
+    the compiled closed loop, by default the result of `closed_loop`. A SolveError is raised if the
+    integration fails, the vehicle tumbles, or the time limit of the enclosing `Deadline` passes.
     """
     # Compiling takes about 0.1 s.
     if system is None:
@@ -400,9 +400,11 @@ def fly_reference(
 ) -> ClosedLoopFlight:
     """Simulate a mission once under the adaptive controller along a reference.
 
-    Unlike `fly_baseline`, this function neither verifies nor tabulates the flight. Initial state
-    and errors are as for `fly_baseline`. `rate_hz` is the number of samples per second; the
-    first and the last time are always included.
+    Unlike `fly_baseline`, this function neither verifies nor tabulates the flight. With a plan, the
+    flight starts in the plan's initial state. The reference "plan" needs the plan as the path.
+    `rate_hz` is the number of samples per second; the first and the last time are always included.
+    `tolerance` is that of the integrator. For errors, see `fly`, `reference_path` and
+    `refuse_other_vehicles`.
     """
     refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.fixed_duration
@@ -463,17 +465,15 @@ def assembled_flight(
 ) -> Flight:
     """Join the simulated parts of a flight, verify them, and estimate the energy still needed.
 
-    `flown_twice` has each part, simulated by two integrators. `began` is `time.perf_counter` at the
-    start. The energy from the final state to hover at the goal is NaN without a plan or with a wind
-    forecast.
+    A flight has several parts if its plan is replaced in flight. `flown_twice` has each part,
+    simulated by two integrators. `began` is `time.perf_counter` at the start. The energy from the
+    final state to hover at the goal follows from the plan's costates. It is NaN without a plan, and
+    with a wind forecast, because the costates are then those of another wind.
     """
-    # There are several parts if the plan is replaced in flight.
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
     # The differences between the integrators are summed over the parts.
     doubt = "; ".join(_doubts(dynamics, flown_twice, flown))
-    # The plan's costates give the energy still needed. Those of a flight in another wind do not
-    # apply to the end of this mission.
     is_told = scenario.wind.forecast is None
     flight = Flight.from_flown(
         name,
@@ -611,7 +611,8 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield the reasons, in words, why a simulated flight is not verified.
 
-    `flown_twice` has the parts by two integrators, `flown` the whole flight by the first of them.
+    A flight has several parts if its plan is replaced in flight. `flown_twice` has each part,
+    simulated by two integrators. `flown` is the whole flight, simulated by the first of them.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])

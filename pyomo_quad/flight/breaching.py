@@ -78,12 +78,11 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        Wherever the present plan is close to its margin `present` or below it, the new plan has the
-        distance `changed`. Elsewhere, it keeps its distance if that is larger. Units are those of
-        the limit.
+        A margin is the least distance that a plan must keep from the bound: `present` now, and
+        `changed` for the new plan. Let d be the planned distance. Where it is close to the margin,
+        d <= present + max(present, largest deviation) / 4, it becomes `changed`. Elsewhere, it
+        becomes max(d, changed). All are in the unit of the limit.
         """
-        # Close means within a quarter of the margin or of the largest deviation, whichever is
-        # larger.
         is_active = self.planned <= present + _ACTIVE * max(present, self.deviation.max())
         to_come = np.where(is_active, changed, np.maximum(self.planned, changed))
         # The distance of the mean flight changes by the same amount as that of the plan.
@@ -116,8 +115,8 @@ _HALVINGS = 30
 def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability that a flight starts beyond a limit or crosses it later.
 
-    `distance` is the mean distance from the limit, negative beyond it. `deviation` is its standard
-    deviation.
+    `distance` is the mean distance from the limit over time, negative beyond it. `deviation` is the
+    standard deviation, and `correlation` the correlation between successive times, one value fewer.
     """
     # Over the flights, the distance is normally distributed.
     beyond = distance / np.maximum(deviation, _ROUNDING)
@@ -166,7 +165,8 @@ def limit_distances(
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
     """Return the derivatives of all path constraints with respect to the states, by constraint.
 
-    They are central differences at the mean flight, shape (n, n_states).
+    They are central differences along the flight without gusts, interpolated to the n times of
+    `spread`. Each array has the shape (n, n_states). `spread` is the distribution of the flights.
     """
     dynamics, n_states = spread.dynamics, spread.states.shape[1]
     last = len(spread.t) - 1

@@ -93,7 +93,7 @@ class Candidate:
     diagnosis : Diagnosis or None
         Least violation of the limits after a failed solve.
     slower : Trajectory or None
-        Solution with a longer duration.
+        Trajectory of the mission with a duration longer than prescribed, for an initial guess.
     shortest : Solution or None
         Solution of least duration.
     failure : Failure or None
@@ -185,7 +185,10 @@ class Candidate:
         return self._outcome()
 
     def starts_at_flight(self) -> bool:
-        """Return whether the search starts from the solution of a similar problem."""
+        """Return whether the search starts from a flight: the solution of a similar problem.
+
+        An example is the solution of the same mission with another duration.
+        """
         return isinstance(self.start, Solution)
 
     def from_flight(self) -> str | None:
@@ -228,14 +231,13 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If braking rotors return no energy, a result with the status not converged is discarded. Any
-        other result becomes `solution`, even if it failed. After a failure, the solver's status is
-        returned.
+        The result becomes `solution`, even if it failed, with one exception. If braking rotors
+        return no energy, a result with the status `NOT_CONVERGED` is discarded. The power then has
+        a kink at zero, and other strategies are better suited. After any failure (`NOT_CONVERGED`
+        or `INFEASIBLE`), the solver's status is returned.
         """
         # The first mesh is that of the warm start, or the mission's own if the start is discarded.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
-        # Without regeneration (braking rotors return no energy), the power has a kink at zero. The
-        # problem is then hard to solve directly, and other strategies are better suited.
         if self.mission.easier and solution.status is Status.NOT_CONVERGED:
             return solution.status.value
         self.solution = solution
@@ -263,12 +265,11 @@ class Candidate:
     def is_long(self) -> bool:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
-        The result is False for a solved mission, and for waypoints or keep-out zones. It is also
-        False for a user's own model, or if braking rotors return no energy.
+        The result is False if a strategy has already made a solution, or for waypoints or keep-out
+        zones. It is also False for a user's own model, or if braking rotors
+        return no energy. The power then has a kink at zero, for which another guess is better.
         """
         mission = self.mission
-        # Without regeneration, braking rotors return no energy. The power then has a kink at zero,
-        # for which another initial guess is better.
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
         # A long flight takes much longer than the vehicle needs to change its attitude.
         return is_simple and is_long(mission.told)
@@ -335,7 +336,8 @@ class Candidate:
     def past_waypoints(self) -> str | None:
         """Solve the failed mission again, starting from the solution of an easier mission.
 
-        The waypoints of the easier mission have no radius and no speed limit. A new solution is
+        The easier mission passes exactly through the waypoints, at any speed. The limits on
+        distance and speed, which make a first solve difficult, are thus absent. A new solution is
         kept if its solve succeeds. The result is the solver's status, or None without a solution of
         the easier mission.
         """
@@ -518,10 +520,10 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether stricter limits may turn the solution into a verified plan.
 
-        The result is True if the simulated flight deviates from the plan (see `is_astray`). For the
-        highest accuracy, `proof`, it is always False.
+        The result is True if the simulated flight deviates from the plan, for example by breaking a
+        limit (see `is_astray`). If `solver.accuracy` of the scenario is "proof", it is
+        always False: stricter limits cost energy, which this accuracy does not allow.
         """
-        # Stricter limits cost energy, which the highest accuracy does not allow.
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
     def keep_limits(self) -> str | None:
@@ -644,8 +646,10 @@ class Candidate:
 def guess_from(plan: Plan, scenario: Scenario) -> dict[str, Any]:
     """Return a plan as an initial guess for a mission with the same waypoints.
 
-    States and controls map to values at the n nodes, and "time" to the nodes' nominal times [s].
-    Free times of the mission map to the plan's times [s].
+    Names of states and controls map to values at the n nodes of the plan. Names of the mission's
+    free times, such as its duration, map to their values in the plan [s]. "time" maps to the times
+    of the nodes [s], rescaled between waypoints: the plan's passing times become the scenario's
+    `nominal_times`.
     """
     held, times = plan.trajectories, plan.trajectories.node_times
     guess = dict(zip(held.state_names, held.states.T, strict=True))

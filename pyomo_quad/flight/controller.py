@@ -28,9 +28,9 @@ Vector = Sequence[float]
 class AttitudeKinematics(Protocol):
     """Interface of the attitude kinematics, which relate attitude angles and body rates.
 
-    The methods convert body rates to rates of the angles, body accelerations to accelerations of
-    the angles, and these back. The angles are roll, pitch and yaw [rad]. The body rates are the
-    angular velocities about the body axes [rad/s].
+    The methods convert body rates to rates of the angles, and body accelerations to accelerations
+    of the angles and back. The angles are roll, pitch and yaw [rad]. The body rates are the angular
+    velocities about the body axes [rad/s], the body accelerations their time derivatives.
     """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
@@ -543,7 +543,7 @@ class ThrustEnvelope:
         """Return the largest acceleration [m/s^2] in a direction, within thrust and tilt limits.
 
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction.
+        direction. A limit that the acceleration `planned` [m/s^2] exceeds is raised to it.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -681,8 +681,10 @@ class AdaptiveController:
     def command(self, reference: ReferencePath, t: float) -> list[float]:
         """Return the controller's input, computed from a reference path at time t [s].
 
-        For its numbers, see `COMMAND_SIZE`. If the reference is a plan, all values are those at
-        time t. For any other reference, the planned values are zero.
+        The input is the argument `command` of the controller; for its numbers, see `COMMAND_SIZE`.
+        If the reference is a plan, all numbers are those at time t. For any other reference, some
+        are zero: the rates and accelerations of roll and pitch, and the accelerations of a plan.
+        The accelerations that the tilt is to give are then those at a slightly later time.
         """
         place, rate, acceleration, tilting = reference(t)
         # Mass of the payload released so far [kg].
@@ -690,9 +692,8 @@ class AdaptiveController:
         if tilting is not None:
             planned = acceleration[:_AXES]
             return [*place, *rate, *acceleration, *planned[:2], *tilting, *planned, left]
-        # The vehicle reaches a commanded tilt with a lag. The accelerations for the tilt are
-        # therefore those of the reference at a slightly later time.
-        # The look-ahead starts at zero, because the vehicle is level at take-off.
+        # The vehicle reaches a commanded tilt with a lag. The look-ahead starts at zero, because
+        # the vehicle is level at take-off.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
         ahead = reference(t + lead).acceleration[:2]
         return [*place, *rate, *acceleration, *ahead, *_UNKNOWN_TILTING, *_UNPLANNED, left]
@@ -759,10 +760,11 @@ class AdaptiveController:
         command: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the accelerations of the commanded tilt [rad/s^2], and the filter's rates.
+        """Return the accelerations of the commanded tilt [rad/s^2], and the rates of `states`.
 
-        The filter's rates are the derivatives of `states`: commanded roll and pitch [rad], and
-        their rates [rad/s]. `force` is in world axes [N].
+        `states` are commanded roll and pitch [rad], and their rates [rad/s]. They follow the tilt
+        for the commanded `force` in world axes [N] at the measured `yaw` [rad]. `command` is the
+        controller's input.
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [
@@ -795,8 +797,9 @@ class AdaptiveController:
     ) -> tuple[list[float], list[float]]:
         """Return the commanded moments [N m], and the derivatives of the attitude loop's states.
 
-        `tilt_acceleration` is that of the commanded roll and pitch. `achieved` are the present
-        moments.
+        The commanded roll and pitch are in `states`, all states of the controller.
+        `tilt_acceleration` is their second derivative. `setpoint` gives the yaw. `body` has the
+        values of `MEASURED_STATES`, `achieved` the present moments.
         """
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [

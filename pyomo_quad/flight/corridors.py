@@ -4,7 +4,10 @@ The cost of a route is its energy plus the price of time [W] times its duration.
 duration states the price. Otherwise, the price makes the cheapest route take the fixed duration.
 
 Dijkstra's method gives the cheapest route through every grid point: see docs/theory/routes.md,
-"Corridors through a wind field".
+"Corridors through a wind field". Lines join each grid point to its neighbours, and routes consist
+of lines.
+
+The argument `told` is the scenario of the mission in its forecast wind, which the planner assumes.
 """
 
 from collections.abc import Callable
@@ -186,12 +189,13 @@ class LineCosts:
 def has_corridors(told: Scenario) -> bool:
     """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    The wind must act through the airspeed (`wind.coupling = "drag"`). It must differ between
-    horizontal positions, or flights must avoid places without wind (`wind.beyond` is not "hold").
+    The wind must be a wind field that acts through the airspeed (`wind.coupling = "drag"`). The
+    field must differ between horizontal positions, or lack values at some grid points. Missing
+    values count only if `wind.beyond` is not "hold": flights must then avoid these places.
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
-    # Grid points without wind are NaN. Unless the nearest wind holds there, routes lead past them.
+    # Grid points without wind are NaN.
     values = told.wind.grid.components
     known = np.isfinite(values)
     if told.wind.beyond is not Beyond.HOLD and not known.all():
@@ -310,7 +314,8 @@ def _grid(
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
     """Return the points of the search grid about a leg, and the indices of both ends of each line.
 
-    The start and the goal are the first two points. Points have shape (n, 3), in m.
+    A line joins two neighbouring points. `ends` are start and goal of the leg, and the first two
+    points. Points have shape (n, 3), in m.
     """
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
     # Seen from above, the grid is a rectangle.

@@ -85,8 +85,9 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     """Compute the distribution of flights in turbulence that follow a plan under feedback.
 
     `scenario` states the turbulence, and the standard deviations of the errors of wind forecast,
-    mass and power. The times are equally spaced, at most `NOISE_STEP` [s] apart. The noise is
-    constant between them.
+    mass and power. `planner` gives the power of hover, to which the error of the power is relative.
+    The times of the result are equally spaced, at most `NOISE_STEP` [s] apart. Between two times,
+    the white noise that drives the turbulence filters is constant.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -143,8 +144,9 @@ def propagated(
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances of the states, and between successive times, without overflow.
 
-    From the first time at which a standard deviation exceeds `_LOST` or is not finite, all of them
-    are `_LOST`. The covariance between successive times is then zero.
+    `covariance` has shape (n + 1, n_x, n_x), `onward` (n, n_x, n_x). A time is lost if a standard
+    deviation exceeds `_LOST`, or a covariance is not finite. From the first lost time on, all
+    standard deviations become `_LOST`, and all covariances between states or times zero.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     # If the controller cannot follow the plan, the covariance grows without limit. Every limit then
@@ -188,9 +190,10 @@ class _MeanFlight:
         )
 
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the joint states and the commands to the controller at n given times [s].
+        """Return the joint states and the inputs of the controller at n given times [s].
 
-        They have the shapes (n, n_joint) and (n, COMMAND_SIZE).
+        The inputs are reference values (see `AdaptiveController.command`). The shapes are
+        (n, n_joint) and (n, COMMAND_SIZE).
         """
         flight = fly(
             dynamics=self.dynamics,
@@ -210,13 +213,15 @@ class _MeanFlight:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives of the joint state's rates by that state and by the random inputs.
 
-        The shapes are (n, n_joint, n_joint) and (n, n_joint, n_noise + n_parameters).
+        The random inputs are the white noise of the turbulence, then the constant errors of
+        forecast, mass and power (parameters). The shapes are (n, n_joint, n_joint) and
+        (n, n_joint, n_noise + n_parameters).
         """
         # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
         columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
         by_unknowns = self._by_unknowns(t, joint, commands)
-        # White noise first, then the parameters, per standard deviation of each.
+        # The derivatives by parameters are per standard deviation.
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:

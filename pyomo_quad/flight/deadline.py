@@ -70,7 +70,8 @@ class Deadline:
     """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
     A simulation raises `TimeIsUpError`. A solve stops only if this object is its progress callback.
-    The time counts from construction. In nested blocks, the outermost limit applies.
+    The time counts from construction. A nested block keeps the limit of the outermost block, which
+    `longest_s` can only shorten.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class Deadline:
     progress : callable, optional
         Callback that may stop a solve earlier.
     longest_s : float, optional
-        Shorter limit for this block [s].
+        Further limit for this block [s of processor time].
     """
 
     def __init__(

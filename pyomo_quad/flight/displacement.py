@@ -3,6 +3,7 @@
 Between its collocation points, the path of a coarse solution may cut corners of zones. A vehicle
 that follows it under feedback then enters the zones too (`flight.tracking`). The path is therefore
 displaced. If a simulation confirms it, the coarse solution becomes a usable plan of lower accuracy.
+A displacement is a sum of pushes, each of which moves the path by one vector during a time span.
 See docs/theory/tracking.md, eq. (8).
 """
 
@@ -72,8 +73,8 @@ Displacement = tuple[Push, ...]
 def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray, FloatArray]:
     """Return the displacement [m] of a path and its time derivative [m/s], shape (n, 3) each.
 
-    `times` are the n times [s]. The displacement is a sum of pushes; an empty tuple displaces
-    nothing.
+    `times` are the n times [s]. `displacement` is a tuple of pushes, which are summed. An empty
+    tuple displaces nothing.
     """
     step = 1e-4 * _RAMP_S
     none = np.zeros((len(times), 3))
@@ -93,8 +94,9 @@ def limits_along(dynamics: Dynamics, flown: Flown) -> list[LimitValues]:
 def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) -> Displacement:
     """Return displacements of a flight's path that lead the flight out of keep-out zones.
 
-    Each time span inside a zone gets one push, the shortest way out and somewhat beyond. All limits
-    of the airspace count as zones. `flown` must be dense near them.
+    Each time span inside a zone gets one push, the shortest way out and somewhat beyond. `limits`
+    has all limits along the flight (see `limits_along`). Those of the airspace count as zones, and
+    others are ignored. The samples of `flown` must be dense near the zones.
     """
     # See docs/theory/tracking.md, eq. (8). Limits of the airspace are keep-out zones and, for
     # example, the least height above the ground.

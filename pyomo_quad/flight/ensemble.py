@@ -1,9 +1,9 @@
 """Simultaneous simulation of many flights along one reference, each with random wind and mass.
 
 Control law, equations and assessment are those of a single flight; only the integration differs.
-All flights together take Runge-Kutta steps of fixed length, at most `LONGEST_STEP_S`. Over this
-time, the noise of the turbulence is constant. Stability or accuracy may require shorter steps. A
-test compares the result with SciPy's adaptive integration.
+All flights together take Runge-Kutta steps of fixed length. The noise of the turbulence is constant
+for `LONGEST_STEP_S`. The steps have this length, or a fraction of it if stability or accuracy
+requires shorter steps. A test compares the result with SciPy's adaptive integration.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -173,7 +173,8 @@ class EnsembleSimulation:
     scenario : Scenario
         The mission, with fixed times, and the vehicle as the controller assumes it.
     dynamics : Dynamics
-        Equations of the vehicle in the wind, without random errors and gusts.
+        Equations of the vehicle in the wind, without random errors (of forecast, mass or power) and
+        gusts. These are parameters in `varied`, whose values the method `fly` takes.
     reference : callable
         Takes a time [s] and returns the `Setpoint` to follow.
     varied : sequence of str
@@ -203,8 +204,9 @@ class EnsembleSimulation:
     def fly(self, draws: Draws) -> FlownOften:
         """Simulate one flight for each set of random numbers.
 
-        The parameters and noise of `draws` must have every name in `varied`. If a state is not
-        finite or the time limit has passed, a SolveError is raised.
+        `draws` must have every name in `varied`, either in its `numbers` (constant parameters) or
+        in its `noise` (varying parameters). A SolveError is raised if a state is not finite or the
+        time limit of the enclosing `Deadline` has passed.
         """
         keep_time()
         steps = np.floor(0.5 * (self._times[1:] + self._times[:-1]) / LONGEST_STEP_S).astype(int)

@@ -251,8 +251,10 @@ def broken_limits(
 ) -> tuple[str, ...]:
     """Return the limits that a flight violates by more than both tolerances, in words with amounts.
 
-    An example is "roll angle by 0.2 rad". `breaches` has the largest violation of each limit. The
-    tolerances `allowed` and `breach` are those of `is_broken`.
+    An example is "roll angle by 0.2 rad". `breaches` has the largest violation of each limit, and
+    `dynamics` the units of the limits. `allowed` maps names of limits to tolerances in these units,
+    zero for a missing name. `breach` is one tolerance for all limits, on the violation divided by
+    max(1, abs(limit)).
     """
     return tuple(
         breach_words(found, dynamics.unit(found.name))

@@ -3,6 +3,9 @@
 The vehicle flies along the lines of the route, smoothed at corners. A simulation under feedback
 turns this path into a flight that satisfies the equations of motion. The plan is not optimal, but
 it is available before the first solve ends. See docs/theory/geometric_plan.md, eqs. (5) to (7).
+
+A journey is a sequence of routes, one for each leg from one waypoint to the next. The argument
+`told` is the scenario of the mission in its forecast wind, which the planner assumes.
 """
 
 from __future__ import annotations
@@ -71,8 +74,10 @@ _ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
 def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
-    If simulation confirms no plan, the last simulated plan is returned. None if no plan was
-    simulated, for a user's own model, or if a waypoint has a prescribed time or heading.
+    Up to three paths of different speeds or accelerations are simulated, until a simulation
+    confirms a plan. If none does, the result is the last simulated plan, or None if there is none.
+    The result is also None for a user's own model, or if a waypoint has a prescribed time or
+    heading.
     """
     told = mission.told
     if not mission.problems.is_declared or any(
@@ -90,7 +95,7 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 
 
 def smooth_flight(mission: MissionProblem, journey: Journey) -> dict[str, Any] | None:
-    """Return a flight along a journey with smooth corners, as an initial guess of a solve.
+    """Return a flight along the routes of a journey with smooth corners, as an initial guess.
 
     The keys are "time" (fractions of the horizon), "duration" [s] and names of states. None if the
     vehicle has no steady flight, or the path no allowed duration. See
@@ -116,8 +121,9 @@ def _first_usable(
 ) -> Plan | None:
     """Return the first plan along a journey that a simulation confirms as usable.
 
-    `fastest` is in m/s, `least_energy` in J. If no plan is confirmed, the result is the plan
-    simulated last, or None.
+    At most three paths, with speeds up to `fastest` [m/s], are simulated. The error estimate of a
+    plan compares its energy with `least_energy` [J]. If none is confirmed, the result is the last,
+    or None without any.
     """
     found: Plan | None = None
     flown, is_free = 0, mission.told.mission.is_free
@@ -145,9 +151,10 @@ def _first_usable(
 
 
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
-    """Return a smooth path along a journey, whose duration the mission allows.
+    """Return a smooth path along a journey, with a duration that the mission allows.
 
-    `fastest` is the greatest speed [m/s]. The result is None if no allowed duration is long enough.
+    `pace` limits speed and accelerations. If the resulting duration is not allowed, only `fastest`
+    [m/s] limits the speed. The result is None if no allowed duration is long enough.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits
@@ -181,7 +188,8 @@ def _stops(told: Scenario, journey: Journey) -> list[Stop]:
 def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
     """Return the greatest speed of a path along a journey [m/s].
 
-    If the duration is free, it is at most the speed of least cost along the longest leg.
+    If the duration is free, it is at most the speed of least cost per metre along the longest leg.
+    The cost is the energy plus the price of time [W] times the duration.
     """
     limit = told.limits.speed_max
     greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
@@ -239,14 +247,14 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
     """Return the energy of steady flight along a journey [J], an estimate of the least energy.
 
-    If the duration is free, the speed is `fastest` [m/s]. Implements docs/theory/geometric_plan.md,
-    eq. (7). Raises a SolveError if there is no steady flight.
+    If the duration is free, the speed is `fastest` [m/s], the greatest speed of a path. Otherwise,
+    it is the mean speed between hovers. Implements docs/theory/geometric_plan.md, eq. (7). Raises a
+    SolveError if there is no steady flight.
     """
     steady, told = mission.steady, mission.told.mission
     steps = [step for route in journey for step in np.diff(route.places, axis=0)]
     lengths = [float(np.linalg.norm(step)) for step in steps]
     holds = sum(waypoint.hold for waypoint in told.waypoints)
-    # With a prescribed duration, the speed is the mean speed between the hovers.
     speed = fastest
     if not told.is_free:
         speed = sum(lengths) / max(told.fixed_duration - holds, _SAME_S)

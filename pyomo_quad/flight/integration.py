@@ -68,7 +68,10 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return a right-hand side that clips its time to the inside of the interval [first, last]."""
+    """Return the right-hand side `rates` with its time clipped to the inside of [first, last].
+
+    The clipped time keeps a distance of 1e-6 of the interval's length from both ends.
+    """
     # The rates may jump at the ends of the interval. Without these jumps, an integrator need not
     # shorten its steps.
     margin = _INSIDE * (last - first)

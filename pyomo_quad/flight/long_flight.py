@@ -73,8 +73,8 @@ def fine_mesh(duration: float, degree: int) -> Mesh:
 def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mesh:
     """Return a mesh whose elements grow by a constant factor from both ends towards the middle.
 
-    `shortest` [s] is the length of the first and last element, `growth` the factor, and `degree`
-    the degree of short elements.
+    `shortest` [s] is the length of the first and last element, `growth` the factor. The degree of
+    elements is `degree`, and higher by 2 for those longer than 1 s.
     """
     widths = [shortest]
     while 2 * sum(widths) < duration:
@@ -136,8 +136,8 @@ def _over_the_ground(
 ) -> dict[str, FloatArray]:
     """Return height and climb rate of an initial guess, raised above the terrain.
 
-    `when` has the times of the samples [s]. The result is empty without terrain or floor (least
-    height above the ground).
+    `when` has the times of the samples [s]. The result is empty unless the airspace has both a
+    terrain and a floor (least height above the ground).
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:

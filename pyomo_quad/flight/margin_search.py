@@ -208,6 +208,13 @@ class _Tested:
 class MarginSearch:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
+    Each plan is tested by simulated flights in turbulence. A test flight fails if it breaks any
+    limit. It misses the goal if it ends too far away or too fast. The reserve is the part of rotor
+    speed, thrust and tilt that the margins leave to the controller.
+
+    A `_Tried` is a plan with its margins, and with the predicted statistics of flights that follow
+    it. A `_Tested` also has the results of its test flights.
+
     Parameters
     ----------
     paper : Plan
@@ -295,7 +302,11 @@ class MarginSearch:
         return self._stated(best.tried, best.counts, best.failed)
 
     def _examined(self, tried: _Tried) -> _Tested:
-        """Test a plan by simulated flights; refine and retest it if few flights miss the goal."""
+        """Test a plan by simulated flights, and test it again on a refined mesh if worthwhile.
+
+        It is worthwhile if the plan's mesh is not refined yet, and few flights miss the goal. Few
+        are at most as many as may fail.
+        """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
         # A refinement takes longer than the test of another plan. If few flights miss the goal, the
@@ -312,9 +323,10 @@ class MarginSearch:
         return self._seed
 
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
-        """Reduce margins that cost much energy, if test flights confirm the new plan.
+        """Reduce margins that cost much energy, if test flights confirm it.
 
-        `best` is a plan that passed its test; `failed` has the plans that did not.
+        `best` is a plan that passed its test, and the result if no cheaper plan does. New margins
+        are halfway from those of `best` to those of the last plan in `failed`, or zero.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -341,10 +353,10 @@ class MarginSearch:
         return best
 
     def unfinished(self, why: str) -> Plan:
-        """Return the last plan that simulation confirmed, for a search that ended early.
+        """Return the last plan that simulation without turbulence confirmed.
 
-        The record `risk` of the plan states the reason ``why`` the search ended, in words. The
-        record also says that the plan's risk is untested: it counts no test flights in turbulence.
+        The search ended early, for the reason ``why``, which the record `risk` of the plan states.
+        The plan's risk is unknown, because the record counts no test flights in turbulence.
         """
         plan, margins = self._last
         taken = RiskTaken(
@@ -383,9 +395,10 @@ class MarginSearch:
         return replace(tried.plan, risk=taken)
 
     def _verified(self, tried: _Tried) -> _Tried:
-        """Refine the mesh of a plan with margins, and verify the plan by simulation.
+        """Refine the mesh of a plan with margins, and return the new plan, verified by simulation.
 
-        A flyable plan is also stored for `unfinished`.
+        If the new plan is flyable, it is also stored. The method `unfinished` returns the plan
+        stored last. A plan whose mesh is refined already is returned unchanged.
         """
         if tried.is_refined:
             return tried
@@ -401,7 +414,8 @@ class MarginSearch:
     def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
-        `margins.passing_times` gives its new passing times.
+        `margins` has the amounts of the tightening. With the margin `HOLD`, the plan begins hovers
+        early. The result states the times at which flights must begin them.
         """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -509,9 +523,10 @@ class MarginSearch:
         return margins
 
     def _steeper_than_the_controller(self) -> dict[str, float]:
-        """Return the amounts by which roll and pitch limits exceed the controller's limit [rad].
+        """Return by how much the scenario's limits on roll and pitch exceed the controller's [rad].
 
-        The result is empty if the controller's tilt has no limit.
+        The keys are "limits.roll_max" and "limits.pitch_max". The controller limits its tilt to
+        `baseline.gains.tilt_max`; if this is None, the result is empty.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -522,9 +537,10 @@ class MarginSearch:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Solve with new margins repeatedly, until the margins agree with the allowed risk.
+        """Solve repeatedly, with the margins that the last plan's covariance requires for the risk.
 
-        The fixed-point iteration starts from the plan `tried` and makes at most three plans.
+        The iteration starts from `tried`. It ends when these margins are close to those of the last
+        plan, and after three solves at the latest. The result is the last plan.
         """
         for _ in range(_PLANS):
             # A plan with other margins has another covariance, and so requires other margins.
@@ -589,9 +605,10 @@ class MarginSearch:
         return True
 
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
-        """Simulate test flights of a plan in turbulence, and count the limits that they break.
+        """Simulate test flights of a plan, and count the flights that break each limit.
 
-        Unless `is_whole`, the test ends after a few flights if too many of them have failed.
+        `seed` selects the random winds. Unless `is_whole`, the test ends after 50 of 200 flights if
+        more than 200 * `risk` of them have failed.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)
@@ -610,7 +627,8 @@ class MarginSearch:
     ) -> list[tuple[str, ...]]:
         """Simulate test flights of a plan in turbulence; return the limits that each flight breaks.
 
-        The limits are given by their names in words.
+        The limits are given by their names in words. `seed` selects 200 random winds, and `chosen`
+        those in which the plan is flown.
         """
         expected = as_expected(replace(tried.plan, scenario=self._in_turbulence).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
@@ -619,9 +637,10 @@ class MarginSearch:
         return [tuple(ending.broken) for ending in simulation.fly(draws.part(chosen)).endings]
 
     def _grown(self, tested: _Tested) -> dict[str, float]:
-        """Return larger margins for the limits that test flights break too often.
+        """Return all margins, larger for the limits that test flights break too often.
 
-        If the margin of such a limit cannot grow, the reserve of thrust and tilt grows instead.
+        The result maps scenario fields to amounts. If such a limit has no margin, or already the
+        largest possible one, the margins of the reserve grow instead.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -660,9 +679,10 @@ class MarginSearch:
         return margins
 
     def _step_at_waypoints(self, name: str) -> float:
-        """Return the least increase of the margin on a waypoint's radius or speed [m or m/s].
+        """Return the smallest step by which a margin at waypoints grows after a test [m or m/s].
 
-        `name` is the scenario field of the margin.
+        `name` is the field of the margin: "mission.radius" or "mission.speed_max". The step is 20 %
+        of the smallest radius, or speed limit, of the waypoints.
         """
         # The predicted covariance is too small for vehicles whose thrust is at its limit.
         waypoints, key = self._scenario.mission.waypoints, name.partition(".")[2]
@@ -671,7 +691,8 @@ class MarginSearch:
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return advice to the user on how to change the mission so that flights keep its limits.
 
-        It concerns the first limit in `limiting`, which test flights broke most often.
+        It concerns the first limit in `limiting`, which test flights of the plan `tried` broke most
+        often.
         """
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
@@ -682,7 +703,11 @@ class MarginSearch:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return as advice the greatest strength of turbulence in which flights reach the goal."""
+        """Return advice to the user: the strongest turbulence in which few flights miss the goal.
+
+        Few are at most 30 % of the failures that the allowed risk permits. The misses are predicted
+        from the statistics in `tried`.
+        """
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0

@@ -70,14 +70,15 @@ class RiskTaken:
     """Record of the risk for which a plan was made: margins, prediction and test flights.
 
     The risk is the probability that a flight in turbulence breaks any limit. Test flights are
-    simulations in turbulence.
+    simulations in turbulence. `risk.plan_at_risk` searches for the margins. It takes faster gains
+    of the controller if no margins suffice with the default gains.
 
     Attributes
     ----------
     asked : float
         Allowed risk.
     predicted : float
-        Risk predicted by a linear model; 1 if the search ended before any test flight.
+        Risk predicted by a linear model; 1 if the search for margins ended before any test flight.
     failed, flown : int
         Number of test flights that broke a limit, and number of all test flights. The margins were
         found without these flights.
@@ -86,7 +87,7 @@ class RiskTaken:
     margins : mapping
         Scenario field -> amount by which its limit was tightened, in the unit of the field.
     paper_energy_J : float
-        Energy of the plan without margins [J].
+        Energy of the plan without margins, a plan on paper only [J].
     limiting : tuple of str
         Limits that flights break most, in words, the most frequent first.
     least : float
@@ -95,9 +96,10 @@ class RiskTaken:
     advice : str
         Possible remedies if the risk cannot be reached.
     stopped : str
-        Reason why the search ended early; empty if it was completed.
+        Reason why the search for margins ended early; empty if it was completed.
     gains : mapping
-        Field of ``baseline.gains`` -> value that the search chose; empty if it kept the gains.
+        Field of ``baseline.gains`` -> value, if the plan is for faster gains than the default.
+        Otherwise empty.
     """
 
     asked: float
@@ -239,7 +241,8 @@ def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that leaves room for the mission.
 
     For rotor speed and thrust, it is 0.8 (limit - value in hover / (1 - `limits.reserve`)). For
-    other fields of `limits`, it is 80 % of the limit. In the airspace, 1 cm of room is left.
+    other fields of `limits`, it is 80 % of the limit. For floor, ceiling and clearance, start,
+    waypoints and goal stay 1 cm within the tightened limit.
     """
     # With a larger margin, start, goal or a waypoint would lie outside the tightened limit, or the
     # vehicle could hardly hover. Even with a smaller margin, the mission may be infeasible.

@@ -163,7 +163,8 @@ class MissionProblem:
         """Solve the mission's problem, with refinement of the mesh but without continuation.
 
         `numbers` maps full names of parameters to values that replace those of the mission. The
-        keywords ``chosen`` replace entries of `arguments`. The result may not have converged.
+        keywords ``chosen`` replace entries of the property `arguments`, the default arguments of
+        the solve. The result may not have converged.
         """
         arguments = self.arguments | chosen
         if numbers:
@@ -175,7 +176,8 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the first parameter values of `easier`, if any.
 
-        The keywords ``chosen`` replace entries of `arguments`.
+        The keywords ``chosen`` replace entries of the property `arguments`, the default arguments
+        of the solve.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
@@ -208,7 +210,7 @@ class MissionProblem:
         """Solve the mission by continuation: with easier parameter values first, then with its own.
 
         The result is the last solution, and the first converged one with easier values or None. A
-        known solution `reached` replaces `guess` and `mesh`, and counts as the first.
+        given solution `reached` is this first one, and replaces `guess` and `mesh`.
         """
         first = reached
         for numbers in easier:
@@ -237,7 +239,7 @@ class MissionProblem:
         """Return the initial point of a solve as a solution that is not converged.
 
         It stands for a mission that is not solved, or whose solve is interrupted. The keywords
-        ``chosen`` replace entries of `arguments`.
+        ``chosen`` replace entries of the property `arguments`, the default arguments of the solve.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)

@@ -3,7 +3,8 @@
 A leg is the flight from one place to another. In the table `costs`, shape (n + 2, n + 2), a leg
 begins at the place of its row and ends at that of its column: the start, n places, the goal. A leg
 that is not allowed has infinite cost. An order lists the n places; index k stands for row and
-column k + 1. Bound: docs/theory/orders.md, eqs. (2) to (5).
+column k + 1. A local change of an order exchanges two neighbouring blocks of places, or reverses
+one block. Bound: docs/theory/orders.md, eqs. (2) to (5).
 """
 
 from dataclasses import dataclass
@@ -181,7 +182,8 @@ def _without_infinities(costs: FloatArray) -> FloatArray:
 def _neighbours(n: int) -> IntArray:
     """Return all orders that one local change makes from the order 0, 1, ..., n - 1.
 
-    Each row is an index array: `order[row]` is `order` after the change.
+    Each row is one of these orders. It is also the index array of its change: `order[row]` is
+    `order` after the change.
     """
     every = np.arange(n)
     # An exchange of two blocks keeps the direction of flight within them.
@@ -224,8 +226,8 @@ def nearest_first(costs: FloatArray) -> IntArray:
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
     """Return the locally optimal order that steepest descent finds from an initial order.
 
-    Each row of `neighbours` is a local change. `order` has the places between start and goal, as
-    indices in `costs`.
+    Each row of `neighbours` is the index array of a local change, from `_neighbours`. `order` has
+    the places between start and goal, as indices in `costs`.
     """
     cost = _cost(costs, order[None])[0]
     while True:
@@ -241,8 +243,9 @@ def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of the places between start and goal.
 
     There must be at least one place. The bound is the larger of two, by assignment and by spanning
-    trees [1]_. It does not exceed `reached`, the cost of a known order. See docs/theory/orders.md,
-    eqs. (2) to (5).
+    trees [1]_. `reached` is the cost of a known order. It sets the steps of the iteration for the
+    trees, and a result above it is replaced by `reached`. See docs/theory/orders.md, eqs. (2) to
+    (5).
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
@@ -277,7 +280,8 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of places, by minimum spanning trees.
 
-    `reached` is the cost of a known order. Implements docs/theory/orders.md, eq. (5).
+    `costs` is symmetric, as `_made_symmetric` returns it. `reached` is the cost of a known order.
+    Implements docs/theory/orders.md, eq. (5).
     """
     # An order is a spanning tree in which each place between start and goal has exactly two legs.
     # The prices of places penalise other numbers of legs.
@@ -302,6 +306,7 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
     """Return the cost of the minimum spanning tree, and the number of its legs at each place.
 
+    The tree joins all places, including start and goal. `costs` is symmetric, shape (n + 2, n + 2).
     Implements docs/theory/orders.md, eq. (4), by Prim's method.
     """
     n = len(costs)

@@ -408,10 +408,10 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the right-hand side of the closed loop for one period in which the law is smooth.
+        """Return the closed loop's right-hand side for one period in which the law is smooth.
 
-        The period lasts from `inside` to `last` [s]. The function returned raises a SolveError if
-        the vehicle tumbles.
+        `inside` is just after the start of the period, `last` is its end [s]. Before `inside`, the
+        law is evaluated there. The result raises a SolveError if the vehicle tumbles.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
@@ -468,7 +468,8 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    Formulas that give zero wind are accepted. A measured wind is refused even if it is zero.
+    This is so if `wind.coupling` is "acceleration". With this coupling, a wind that is read from a
+    file is always refused. Zero wind that the scenario states by numbers is accepted.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -500,8 +501,8 @@ def fly_outside(
     """Simulate a mission with RotorPy's vehicle, and verify the flight by a second integrator.
 
     The flight begins in the initial state of `plan`, if one is given. If the integrators disagree,
-    `Flight.is_verified` is False. Raises a ScenarioError if a required plan is missing, and a
-    SolveError if the simulation fails.
+    `Flight.is_verified` is False. Raises a ScenarioError if there is no plan, but `pilot` is open
+    loop or `reference` is the plan. Raises a SolveError if the simulation fails.
     """
     scenario = plant.scenario
     own: Sequence[float] = ()
@@ -528,8 +529,9 @@ def fly_under(
 ) -> Flight:
     """Simulate RotorPy's vehicle under a control law, by two integrators for comparison.
 
-    The flight begins in the initial state of `plan`, by default in hover at the start. `borders`,
-    only for a law without feedback, and `own` are those of `OutsidePlant.fly`. If the integrators
+    The result has the name `name`. The flight begins in the initial state of `plan`, by default in
+    hover at the start. `own` has the initial own states of the law. A law without feedback is
+    smooth between the times `borders` [s]; with feedback, `borders` is None. If the integrators
     disagree, `Flight.is_verified` is False. Raises a SolveError if the simulation fails.
     """
     began = perf_counter()

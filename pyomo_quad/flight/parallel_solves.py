@@ -2,7 +2,8 @@
 
 Each copy sends its solution back to this process, without the compiled problem, which this process
 has already. The transfer therefore takes a few milliseconds only. Each copy also sends back its
-best usable plan: a plan that simulation confirms at lower accuracy than requested.
+best usable plan, which is the result if the search is stopped. The simulation of a usable plan
+meets wider tolerances on energy, goal and limits than those requested.
 """
 
 from __future__ import annotations
@@ -36,8 +37,9 @@ def solve_side_by_side(
 ) -> tuple[Solution, ...]:
     """Carry out solves of a mission in forked processes, as many at a time as there are cores.
 
-    The results are in the order of `solves`, and independent of the number of cores. The attribute
-    `search` of the mission receives the work and the best usable plan of each solve.
+    The results are in the order of `solves`, and independent of the number of cores. If the mission
+    has a `search`, this object receives the best usable plan of each solve. It also receives the
+    work: the number of mesh points, summed over Ipopt's iterations.
     """
     # A call from inside one of the solves runs its own solves one after the other.
     if len(solves) < 2 or most_solves() < 2 or _SHARED:

@@ -891,8 +891,8 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If the name is unknown, or if the plan was loaded from a file, which does not contain
-            equations.
+            If the name is unknown, or if the plan was loaded from a file. No figure of such a plan
+            can be drawn, because the file does not contain equations.
 
         Examples
         --------

@@ -109,7 +109,8 @@ class Planner(Problems):
     def _solve_in_best_order(self, scenario: Scenario, solve: Solve, search: Search) -> Plan:
         """Solve a mission whose waypoints may be visited in any order.
 
-        The result is the plan that `solve` makes for the cheapest order found.
+        The result is the plan that `solve` makes for the cheapest order found. `search` has the
+        time limit, and records the progress of all solves.
         """
         orders = BestOrder(self, scenario, search)
         table = [
@@ -122,8 +123,8 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for a flight in nearly the least duration of the mission.
 
-        If no least duration is found, the result is a plan of least energy with the status "not
-        converged".
+        If no least duration is found, the result is a plan of least energy from the initial guess
+        `start`, marked "not converged". `search` has the time limit, and records the progress.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

@@ -31,7 +31,10 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return a key for scenarios of fixed duration; equal keys mean equal initial states."""
+    """Return the scenario without the data on which its initial states do not depend.
+
+    If two scenarios of fixed duration have equal results, their initial states are equal.
+    """
     # Duration, wind and settings of baseline flights do not affect the initial states.
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -82,7 +85,8 @@ class Problems:
         """Return the compiled problem of a scenario, and the time spent on it [s] by phase.
 
         The phases are "build", in which the Pyomo model is built, and "compile". Both times are
-        zero if the problem is taken from the cache unchanged.
+        zero if a cached problem already has the scenario's initial guess and scaling of variables.
+        If only these two differ, the model is built anew, but its equations are not compiled again.
         """
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
@@ -140,7 +144,8 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        Their limits on rotor speed and thrust include the reserve that plans leave the controller.
+        Their limits on rotor speed and thrust are the full ones, without `limits.reserve`. Plans
+        leave this reserve to the controller, which may use it in a simulation.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):

@@ -90,7 +90,8 @@ def refuse_unproven(
 def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowed: Figures) -> None:
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by too much.
 
-    The tolerances are those in `allowed`, except for its absolute tolerance `intrusion`.
+    The tolerances are those in `allowed`. On zones, floor, ceiling and fence, only the relative
+    tolerance `allowed.breach` is applied, not the absolute one, `allowed.intrusion`.
     """
     # The absolute tolerance on zones, floor, ceiling and fence [m] is too strict for the rounded
     # controls of a plan that was read from a table.
@@ -107,7 +108,8 @@ def _refuse_failed(
 ) -> None:
     """Raise a ScenarioError if a simulated flight fails on energy, waypoints or battery.
 
-    `energy` is the energy that the plan states [J]. The battery must give the power and voltage.
+    `energy` is the energy that the plan states [J]. `allowed` has tolerances on energy and distance
+    from waypoints. The battery must be able to give the flight's power and voltage.
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)

@@ -41,7 +41,8 @@ class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
     If the reference path is a plan, `acceleration` excludes the part that the air is expected to
-    cause, and `tilting` is given. Other reference paths ignore the air and the attitude.
+    cause. `tilting` then has the planned rates and accelerations of roll and pitch. Other reference
+    paths ignore the air and the attitude: `tilting` is None.
     """
 
     place: Sequence[float]

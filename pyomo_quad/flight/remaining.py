@@ -236,6 +236,10 @@ class Course:
 class Replanner:
     """Solver of the remaining mission in flight, with the present estimates of mass and wind.
 
+    The attribute `dynamics` has the equations that are assumed before take-off. States are in the
+    order of `dynamics.state_names`. The unexplained acceleration is the vehicle's acceleration
+    minus that by these equations.
+
     Parameters
     ----------
     scenario : Scenario
@@ -246,8 +250,8 @@ class Replanner:
     planner : Planner
         Planner that compiles the equations.
     margins : mapping, optional
-        Scenario field -> amount by which its limit is tightened. Re-plans may use the full rotor
-        speed and thrust.
+        Scenario field -> amount by which its limit is tightened. Margins on rotor speed and thrust
+        are ignored, so that re-plans may use both in full.
 
     Raises
     ------
@@ -331,8 +335,8 @@ class Replanner:
         """Solve the remaining missions before take-off, as initial points of the solves in flight.
 
         `plan` is the plan made before take-off. The penalty on violations is increased until the
-        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If limits are still broken
-        after two increases, it keeps its former value.
+        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If the solution of a
+        remaining mission still breaks limits after two increases, both increases are undone.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -350,8 +354,9 @@ class Replanner:
     ) -> Solution:
         """Solve the remaining mission from a given state at time t [s], for a re-plan.
 
-        The solve starts from the last converged solution. If `is_patient`, it may take as many
-        iterations as before take-off. `state` has the order of `dynamics`. Raises a
+        The solve starts from the last converged solution. It may take 40 iterations or, if
+        `is_patient`, 300 as in solves before take-off. `belief` has the mass and the acceleration
+        by the air that it assumes. `state` is in the order of `dynamics.state_names`. Raises a
         TranscriptionError if the state is outside the hard limits of rotors and battery.
         """
         rest = self.at(t)
@@ -406,8 +411,9 @@ class Replanner:
     def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
         """Return a re-plan (new plan in flight) with its reference path for the controller.
 
-        `belief` has the mass and the acceleration by the air that the re-plan assumes. `estimate`
-        is stored as `Course.estimate`.
+        `solution` is the solution of the re-plan. `belief` has the mass that the re-plan assumes,
+        and the horizontal acceleration that it adds to that by the assumed wind. Both follow from
+        `estimate`, the unexplained acceleration at the time of the solve [m/s^2].
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
@@ -426,7 +432,8 @@ class Replanner:
         """Return whether a flight has used up its margin to any limit in `margins.FIELDS`.
 
         A margin, possibly zero, is used up if the vehicle is nearer to the limit than its plan by
-        more than the margin. `state`, shape (n_states,), is measured at time t [s].
+        more than the margin. The vehicle follows the plan in `course`. `state`, shape (n_states,),
+        is measured at time t [s].
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -446,9 +453,11 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state at time `end` [s], from which the next re-plan starts.
 
-        The planned state is moved towards the state measured at `start`, until the controller can
-        correct the remaining deviation. The thrust of the result balances `unexplained` [m/s^2],
-        the present estimate minus `course.estimate`. See docs/theory/soft_limits.md.
+        The vehicle follows the plan in `course`; `state` is measured at time `start` [s]. The
+        result is the planned state if the controller can correct the deviation from it. Otherwise
+        it is moved towards the measured state, just until the controller can correct the rest. The
+        thrust of the result balances `unexplained`: the present estimate of the unexplained
+        acceleration minus `course.estimate` [m/s^2]. See docs/theory/soft_limits.md.
         """
         planned, later = self._states(course.plan, start, end)
         self._balance_added_acceleration(later, course.path(end), unexplained)
@@ -469,8 +478,9 @@ class Replanner:
     ) -> None:
         """Change a planned state so that the thrust balances an additional acceleration.
 
-        It is `unexplained`, shape (3,) [m/s^2]. Attitude and rotor speeds in `state` are changed in
-        place. Implements docs/theory/soft_limits.md, eq. (3).
+        This acceleration is `unexplained`, shape (3,) [m/s^2]. `setpoint` has the planned
+        acceleration and yaw at the time of `state`. Attitude and rotor speeds in `state` are
+        changed in place. Implements docs/theory/soft_limits.md, eq. (3).
         """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
         given = np.array(setpoint.acceleration[:3]) + weight
@@ -483,7 +493,7 @@ class Replanner:
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at given times [s], shape (n_times, n_states).
 
-        The columns are in the order of the attribute `dynamics`.
+        The columns are in the order of `dynamics.state_names`.
         """
         names = list(plan.state_names)
         columns = [names.index(name) for name in self.dynamics.state_names]

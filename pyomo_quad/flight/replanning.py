@@ -70,7 +70,8 @@ _TOLERANCE = 1e-6
 def replanned_name(knowledge: Knowledge) -> str:
     """Return the name of a flight with re-planning, such as "mpc/told".
 
-    `knowledge` is the wind that the new plans assume.
+    `knowledge` says which wind re-plans assume: the actual wind ("told"), the forecast corrected by
+    an estimate ("estimated"), or the forecast alone ("untold").
     """
     return f"mpc/{knowledge.value}"
 
@@ -124,8 +125,9 @@ class _Observer:
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> Belief:
-        """Return a mass and a horizontal acceleration by the air, for the next plan.
+        """Return the estimated mass and horizontal acceleration by the air, for the next plan.
 
+        The mass explains the vertical part of the unexplained acceleration, and the air the rest.
         `flown` is the last simulated part of the flight. Implements docs/theory/soft_limits.md, eq.
         (4).
         """
@@ -308,7 +310,8 @@ class _ReplannedFlight:
     ) -> Solution | None:
         """Solve the remaining mission from a state at time t [s]; None if the solve fails.
 
-        `is_patient` allows as many iterations as before take-off.
+        The new plan assumes the mass and the acceleration by the air in `belief`. `is_patient`
+        allows as many iterations as in solves before take-off.
         """
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
@@ -317,7 +320,11 @@ class _ReplannedFlight:
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Simulate the flight along the present plan until `end` [s], and update the observer."""
+        """Simulate the flight along the present plan until time `end` [s].
+
+        The estimate of the unexplained acceleration, which the assumed equations do not contain, is
+        then updated from the simulated states.
+        """
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
             leg = _Leg(
@@ -369,9 +376,10 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    `dynamics` is the vehicle in the actual wind. Unless `plan` assumes the wind of `knowledge`, a
-    new plan is made before take-off. `computer` maps processor times of solves to times aboard [s].
-    Raises a SolveError if there is no plan before take-off, or the flight is out of control.
+    `dynamics` is the vehicle in the actual wind, and `knowledge` says which wind re-plans assume.
+    If `plan` is None or assumes another wind, a new plan is made before take-off. `computer` maps
+    processor times of solves to times aboard [s]. Raises a SolveError if there is no plan before
+    take-off, or the flight is out of control.
     """
     began = perf_counter()
     refuse_other_vehicles(scenario, dynamics)

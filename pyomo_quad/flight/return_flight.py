@@ -29,9 +29,10 @@ _SECONDS_PER_HOUR = 3600.0
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and battery currents of the return flight filled in.
 
-    Given values are kept. The current of the climb is filled in only over terrain. A scenario
-    without `mission.return_reserve` is returned unchanged. Raises a SolveError if the vehicle or
-    its pack cannot fly against the wind, or climb.
+    Given values are kept. `problems` computes steady flights of the vehicle, and the wind. The
+    current of the climb is filled in only over terrain. A scenario without
+    `mission.return_reserve` is returned unchanged. Raises a SolveError if the vehicle or its pack
+    cannot fly against the wind, or climb.
     """
     mission = scenario.mission
     told = mission.return_flight

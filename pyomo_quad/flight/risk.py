@@ -1,8 +1,9 @@
 """Planning of flights that break limits with at most an allowed probability, the allowed risk.
 
 The risk of a plan is the probability that a flight in turbulence breaks any limit. To reduce it, a
-search finds margins by which the plan tightens limits. If the default gains of the controller are
-too slow for any margins, the search is repeated with faster gains. See docs/theory/risk.md.
+search finds margins by which the plan tightens limits. If no margins suffice for the allowed risk
+with the default gains of the controller, the search is repeated with faster gains. See
+docs/theory/risk.md.
 """
 
 from dataclasses import replace
@@ -43,9 +44,9 @@ def plan_at_risk(
 ) -> Plan:
     """Solve a scenario for a plan whose margins are large enough for the allowed risk.
 
-    If no such plan is found, the result is the plan of least risk. There are no margins if any risk
-    is allowed, the plan is not flyable, or the model is a user's own. The keywords ``solve`` are
-    further arguments of `Planner.solve`.
+    If no such plan is found, the result is the plan of least risk. There are no margins if the
+    allowed risk is 1, if the plan is not flyable, or if the model is a user's own. The keywords
+    ``solve`` are further arguments of `Planner.solve`.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)

@@ -65,6 +65,10 @@ _ALIKE = 0.5
 class RouteFlights:
     """Solver of a mission along candidate routes round keep-out zones or through a wind field.
 
+    Candidates are the shortest journeys. Unless the accuracy is `proof`, those of high estimated
+    cost are left out. In a wind field, candidates are up to four journeys of least energy in steady
+    flight, and the shortest one. If their number is given, they are the shortest there, too.
+
     Parameters
     ----------
     mission : MissionProblem
@@ -103,9 +107,9 @@ class RouteFlights:
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along candidate journeys; return the best solution and all results.
 
-        The journeys are the `most` shortest, by default `routes.MOST_ROUTES`. In a wind field, the
-        default is those of least energy in steady flight, and the shortest. If zones block every
-        journey, the solution is infeasible and there are no results.
+        At most `most` candidates are solved, by default `routes.MOST_ROUTES`; see `RouteFlights`.
+        If zones block every journey, the solution has the status `INFEASIBLE`, and there are no
+        results.
         """
         try:
             journeys = self._journeys(most)
@@ -117,9 +121,9 @@ class RouteFlights:
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along given journeys; return the best solution and the result of each.
 
-        The best solution is refined, or failed if no solve converges. A journey is left out if an
-        earlier one has the same solution, or a solution that is as good by docs/theory/routes.md,
-        eq. (1).
+        The best solution is refined, or failed if no solve converges. A journey has no result if
+        the solve along another one led to the same flight. It is not solved if the solution along
+        an earlier one is as good by docs/theory/routes.md, eq. (1).
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey, solution in self._each_flown(journeys):
@@ -148,10 +152,10 @@ class RouteFlights:
         )
 
     def _each_flown(self, journeys: Sequence[Journey]) -> Iterator[tuple[Journey, Solution]]:
-        """Solve along the given journeys, one after the other or on several cores.
+        """Solve along journeys, one after the other or on several cores.
 
-        Yields each journey with its solution. Journeys that a known solution dominates are left
-        out.
+        Yields each journey with its solution. A journey is left out if a known solution is as good,
+        see `_is_dominated`. None is left out at the accuracy `proof` or in a wind field.
         """
         dominant: list[_SidesTouched] = []
 
@@ -194,7 +198,8 @@ class RouteFlights:
     def _most(self, most: int, error: float) -> int:
         """Return the largest number of journeys to solve again on a finer mesh: 1 or `most`.
 
-        It is 1 if `error`, the relative error of the energies, is within the mission's tolerance.
+        It is 1 if `error`, the relative error of energies on the present mesh, is within the
+        mission's tolerance.
         """
         # With an error above the energy tolerance, journeys of similar energy cannot be ranked yet.
         # Otherwise the cheapest journey is already known to within the tolerance.
@@ -236,8 +241,8 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys along which the mission is solved, at most `most` of them.
 
-        They are in order of length. In a wind field, if `most` is None, they are the journeys of
-        least estimated energy, and last the shortest.
+        The candidates of `RouteFlights` are in order of length. In a wind field, if `most` is None,
+        they are in order of energy, and the shortest journey is last.
         """
         told = self._scenario
         journeys = self._mission.journeys[:most]
@@ -250,9 +255,10 @@ class RouteFlights:
         return promising(journeys, self._cost_per_metre(journeys[0]))
 
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
-        """Return a function that gives the cost per metre of steady flight in a direction [J/m].
+        """Return a function: course (unit vector) -> cost per metre of steady flight [J/m].
 
-        The function takes a unit vector. It returns infinity if there is no steady flight.
+        The cost is infinite if steady flight is impossible. The ground speed is the length of
+        `shortest` over the duration. If that is free, it is the speed of least cost.
         """
         told, steady = self._scenario, self._mission.steady
         mission = told.mission
@@ -304,7 +310,7 @@ class RouteFlights:
     def fly(
         self, journey: Journey, guess: Any = None, options: SolverOptions | None = None
     ) -> Solution:
-        """Solve the mission from an initial guess along a journey, on the mesh for comparisons.
+        """Solve the mission from a guess along a journey, on the coarse mesh for comparisons.
 
         The default guess follows the lines of the journey in the nominal duration. If a solve
         fails, it and all later solves start from the easier mission
@@ -338,7 +344,8 @@ class RouteFlights:
     def _improve(self, known: dict[int, Solution], journey: Journey) -> None:
         """Replace the best solution by a better local optimum, if solves from new guesses find one.
 
-        `known` (number of a journey -> solution) is changed in place. See docs/theory/routes.md.
+        `known` (number of a journey -> solution) is changed in place. The new guesses are faster
+        flights along the best solution, and the lines of `journey`. See docs/theory/routes.md.
         """
         first, options = _cheapest(known)[0], self._rough_options()
         if known[first].status.has_failed:
@@ -355,7 +362,8 @@ class RouteFlights:
     def _faster(self, flown: Solution) -> Solution:
         """Solve again from faster flights along the best solution, until the cost falls no more.
 
-        `flown` is the solution with which the search begins. See docs/theory/routes.md.
+        The best solution is at first `flown`, then each cheaper one that is found. An initial guess
+        follows its path in less time. See docs/theory/routes.md.
         """
         best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):
@@ -372,7 +380,8 @@ class RouteFlights:
         """Solve the mission again from the path of a solution, flown in another time.
 
         The initial guess lasts `share` times as long as `flown`; the end time of the mission is
-        free. The default of `options`, whose limit of iterations is lowered, is `_rough_options`.
+        free. The solve has the given `options`, by default those for coarse solves, but at most 60
+        iterations.
         """
         guess, chosen = guess_from(flown, share), options or self._rough_options()
         return self._mission.solve_roughly(
@@ -388,7 +397,11 @@ class RouteFlights:
         return options
 
     def _fly_beside(self, journey: Journey) -> Solution:
-        """Solve along one of several journeys; a failure does not affect the other solves."""
+        """Solve along one of several journeys, without effect on the solves along the others.
+
+        The result of a failed solve has a failed status. After a failure, `fly` begins all later
+        solves with an easier mission; after this method, it does not.
+        """
         # After a failed solve, `fly` sets this flag, with which it solves an easier mission first
         # for every later journey.
         is_plain = self._is_plain
@@ -400,8 +413,8 @@ class RouteFlights:
         """Refine the mesh of a solution and solve again, on at most `meshes` meshes.
 
         The present mesh is counted. If `meshes` is None, the mesh is refined to the mission's
-        tolerance. With regeneration, the solution is returned unchanged if the scenario allows no
-        refinement.
+        tolerance. If braking rotors return energy and `solver.max_refinements` is 0, the solution
+        is returned unchanged.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -467,8 +480,10 @@ def guess_along(
     """Return positions and velocities along a journey, as an initial guess of a solve.
 
     The result has samples of "time" [s] and of states. `times` [s] has arrival and departure at
-    each waypoint, and the end. If `is_open`, "time" has fractions, and a single leg adds "duration"
-    [s]. If `is_even`, legs are flown at constant speed, otherwise from rest to rest.
+    each waypoint, and the end. If `is_open`, the duration is free, and "time" has fractions of it.
+    Without waypoints, the result then also has "duration" [s]. With waypoints, the model has the
+    initial guesses of all times. If `is_even`, legs are flown at constant speed, otherwise from
+    rest to rest.
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
@@ -539,8 +554,9 @@ _LOOKS = 8
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
     """Return the zones that a flight touches on each leg, and the side on which it passes each.
 
-    Each leg has a set of pairs (name of a zone, side), see docs/theory/routes.md, eq. (1).
-    `journey` is that of the initial guess.
+    A flight touches a zone if it comes within 0.1 m of the zone's clearance. Each leg has a set of
+    pairs (name of a zone, side), see docs/theory/routes.md, eq. (1). `journey`, along which the
+    initial guess leads, names the zones of each leg.
     """
     mesh, columns = solution.mesh, _position_columns(solution)
     inner = np.linspace(0.0, 1.0, _LOOKS, endpoint=False)
@@ -584,7 +600,11 @@ _SAME_COST, _SAME_PLACE_M = 1e-6, 0.05
 
 
 def _is_same(one: Solution, other: Solution) -> bool:
-    """Return whether two solutions on one mesh have converged to the same flight, up to errors."""
+    """Return whether two solutions on one mesh have converged to the same flight.
+
+    The relative difference of the costs must be at most 1e-6. The positions may differ by 5 cm
+    along each axis.
+    """
     if not (one.status.is_solved and other.status.is_solved):
         return False
     fractions = np.append(0.0, one.mesh.point_fractions)

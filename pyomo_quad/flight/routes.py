@@ -4,8 +4,9 @@ Routes of one homotopy class pass every zone on the same side: left, right, over
 is the shortest path of its class in a graph of points round the zones. Murty's method finds routes
 in order of length [1]_.
 
-Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk [2]_ and a
-stop at every corner and waypoint.
+Cruise is the flight of an autopilot along straight lines at one speed, with limited jerk [2]_ and a
+stop at every corner and waypoint. A leg leads from one waypoint to the next. A journey is a
+sequence of routes, one for each leg.
 
 .. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost", Operations
    Research 16 (1968).
@@ -62,7 +63,8 @@ class Route:
     label : str
         Name of a route through a wind field, such as "corridor 1"; otherwise empty.
     estimate_J : float or None
-        Energy of steady flight through a wind field [J]; otherwise None.
+        Energy of steady flight along the route, estimated in a wind field [J]; None if it was not
+        estimated.
     """
 
     places: FloatArray
@@ -106,9 +108,10 @@ def find_routes(
 ) -> tuple[Route, ...]:
     """Return the shortest route of each homotopy class between two places, the shortest first.
 
-    The result is empty if zones block every way. Corners are at least the clearance plus
-    `zones.MARGIN_M` from their zones. Routes longer than twice the shortest are left out. Over
-    terrain, `climbs.over_the_ground` raises them to the floor.
+    The result is empty if zones block every way. Each corner is at least `airspace.clearance` plus
+    `zones.MARGIN_M` from the zone round which it leads. Routes longer than twice the shortest are
+    left out. Over terrain, `climbs.over_the_ground` raises routes to `airspace.floor`, the least
+    height above the ground.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -197,8 +200,9 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
 def journeys_of(told: Scenario) -> tuple[Journey, ...]:
     """Return the shortest journeys of a mission, the shortest first, as `find_journeys` does.
 
-    They stay inside the fence, and inside the wind field unless the mission may leave it. Raises a
-    NoRouteError if zones, or zones and the edges of the field, block a leg.
+    `told` has the mission, its airspace and its wind. Journeys stay inside the fence, and inside
+    the wind field unless the mission may leave it. Raises a NoRouteError if zones, or zones and the
+    edges of the field, block a leg.
     """
     # There are edges only if the mission must stay in the wind field.
     airspace, edges = told.airspace, field_edges(told)
@@ -240,9 +244,10 @@ class NoRouteError(Exception):
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
-    """Return an easier mission, in which waypoints are passed exactly and at any speed.
+    """Return a mission that is easier to solve: waypoints are passed exactly and at any speed.
 
-    The result is None if no waypoint has a radius or a speed limit.
+    Limits on distance and speed at waypoints make a first solve difficult. The result is None if no
+    waypoint has a radius or a speed limit.
     """
     # The model limits the squares of the distance from a waypoint and of the speed. Their gradient
     # vanishes where the distance or the speed is zero, which makes a first solve difficult.
@@ -375,7 +380,8 @@ class TriedRoute:
     is_kept : bool
         Whether the plan is this flight.
     estimate_J : float or None
-        Energy of steady flight through a wind field [J]; otherwise None.
+        Energy of steady flight along the route, estimated in a wind field [J]; None if it was not
+        estimated.
     """
 
     name: str
@@ -461,8 +467,8 @@ def cruise_at(
     """Return the mission with the passing times and the duration of an autopilot's cruise.
 
     `speed` [m/s] replaces the scenario's cruise speed. The vehicle hovers at the goal for
-    `settling_s`, or until `least_s`. Raises a ScenarioError if zones block a leg, all places are
-    the same, or there is no single cruise speed.
+    `settling_s` [s], or longer if the mission would otherwise end before `least_s` [s]. Raises a
+    ScenarioError if zones block a leg, all places are the same, or there is no single cruise speed.
     """
     told = scenario
     if speed is not None:
@@ -476,7 +482,7 @@ def cruise_at(
 
 
 def cruise(scenario: Scenario) -> SampledPath:
-    """Return the reference path of an autopilot's cruise: straight legs at one speed.
+    """Return the reference path of an autopilot's cruise: straight lines at one speed.
 
     Raises
     ------
@@ -511,9 +517,10 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return the straight lines of an autopilot's cruise, for each leg of the mission.
+    """Return for each leg of the mission the straight lines of an autopilot's cruise.
 
-    Each line has a displacement, shape (3,) [m], and a motion from rest to rest.
+    A leg has several lines if its route has corners. Each line has a displacement, shape (3,) [m],
+    and a motion from rest to rest.
     """
     airspace, settings = scenario.airspace, own_cruise(scenario)
     limits = settings.speed, settings.acceleration, settings.jerk

@@ -129,7 +129,8 @@ class Search:
     def is_early(self) -> bool:
         """Whether the search has run for less than about two seconds.
 
-        At the accuracy `proof`, usable plans are made only after this time.
+        During this time, a search at the highest accuracy, `proof`, does not simulate solutions to
+        obtain usable plans.
         """
         # A usable plan is needed only if the search is stopped. Making one takes time, and most
         # searches end soon and by themselves.
@@ -144,10 +145,11 @@ class Search:
         self._make_first = make_first
 
     def begin_apart(self, spent_s: float) -> None:
-        """Prepare this object for solves in a forked process, where it is a copy.
+        """Prepare this copy of a search for solves in a forked process.
 
-        The copy shows no progress, and does not call the function set by `begin_with`. `spent_s` is
-        the processor time of the search before the fork [s].
+        The method is called in the forked process. The copy shows no progress, and does not make
+        the first usable plan (see `begin_with`). `spent_s` is the processor time of the search
+        before the fork [s].
         """
         self._make_first = self._show = None
         # The clock of a forked process starts at zero.
@@ -156,8 +158,9 @@ class Search:
     def is_stopped(self) -> bool:
         """Return whether the user or the time limit has stopped the search.
 
-        The user stops it through a progress callback that returns False, called here with Ipopt's
-        last iteration. Before the first iteration, the result is False.
+        The user stops it by a progress callback that returns False. This method calls the callback
+        again, with the most recent iteration of Ipopt. Before the first iteration, the result is
+        False, whatever the time.
         """
         return self._last is not None and not self.deadline(self._last)
 
@@ -178,9 +181,9 @@ class Search:
     def restart_patience(self) -> None:
         """Make the property `is_early` true again for about two seconds of solves.
 
-        The time before the call of the function set by `begin_with` also starts again. This method
-        is called when the order of the waypoints has been chosen, before the whole mission is
-        solved.
+        The delay of more than a second, after which the first usable plan is made (see
+        `begin_with`), starts again, too. This method is called when the order of the
+        waypoints has been chosen, before the whole mission is solved.
         """
         self._patient_from = self.work
 
@@ -254,8 +257,10 @@ class Search:
     def keep(self, plan: Plan) -> None:
         """Store a plan as the best usable plan if it is usable and better than the stored plan.
 
-        If both plans come from solutions of the optimal control problem, the better plan has the
-        smaller uncertainty of the energy. Otherwise it has the lower cost.
+        Of two plans from solutions of the optimal control problem, the better has the smaller
+        uncertainty of the energy. A search may begin with a plan along the shortest route, made
+        without optimisation. If one of the two is such a plan, the better has the lower objective,
+        `Plan.cost`.
         """
         found, kept = as_usable(plan), self.usable
         if not found.is_flyable:

@@ -4,6 +4,10 @@ A point moves along the straight lines of the route with bounded acceleration, a
 corners. The smooth path is a moving average of this motion, with continuous velocity, acceleration
 and jerk. The average cuts corners. The corners of the lines are therefore moved outwards, until the
 path passes through the original corners. See docs/theory/geometric_plan.md, eqs. (1) to (4).
+
+A `Stop` is the start, a corner or the goal, with the hover and the greatest speed there. A `Pace`
+has the greatest speed and accelerations of the whole motion. Arguments `corners` are the positions
+of the n stops after they were moved outwards, shape (n, 3) [m].
 """
 
 from __future__ import annotations
@@ -152,9 +156,10 @@ def smoothed(
 def _pace_for(
     stops: Sequence[Stop], corners: FloatArray, fastest: Pace, lasting: float
 ) -> Pace | None:
-    """Return the pace at which a motion along a route lasts a given duration.
+    """Return the pace at which a motion along a route lasts a given duration `lasting` [s].
 
-    It is `fastest` with a lower speed, at least 0.05 m/s; None if even `fastest` takes longer.
+    It is `fastest` with a lower speed, at least 0.05 m/s; None if even `fastest` takes longer. If
+    0.05 m/s is too fast, the motion ends early.
     """
 
     def excess(speed: float) -> float:
@@ -194,7 +199,8 @@ def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> Floa
 def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
     """Return the motion along straight lines from corner to corner, with bounded acceleration.
 
-    `corners` has the positions of the corners after they were moved outwards, shape (n, 3) [m].
+    `stops` gives the hovers and greatest speeds at the corners, and `pace` the greatest speed and
+    acceleration between them.
     """
     steps = np.diff(corners, axis=0)
     lengths = np.linalg.norm(steps, axis=1).tolist()
@@ -237,7 +243,8 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
 def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
     """Return the smooth path: the moving average over time of a motion along straight lines.
 
-    `lasting` is its duration [s]. Implements docs/theory/geometric_plan.md, eq. (3).
+    `corners` are the ends of the lines. `lasting` is the duration of the path [s], by default that
+    of the motion. Implements docs/theory/geometric_plan.md, eq. (3).
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before
 

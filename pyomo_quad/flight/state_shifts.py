@@ -2,8 +2,8 @@
 
 A coarse solution may exceed a limit between its collocation points. So may a simulated vehicle that
 follows it under feedback. For the next simulation, the path is shifted away from the limit during
-the excess. The regulator anticipates the shift, and gives the shifted states a greater weight. See
-docs/theory/tracking.md, eq. (9).
+the excess. The linear-quadratic regulator that steers the simulated vehicle anticipates the shift.
+It gives the shifted states a greater weight. See docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -55,9 +55,20 @@ def shifts_within_limits(
 ) -> tuple[StateShift, ...]:
     """Return shifts of a path away from the limits that a simulated flight along it exceeds.
 
-    Only limits on tilt, speed and rotor speed count. Each time span with an excess above 0.5 *
-    `tolerated` * max(1, m) gives a shift, where m is the largest magnitude of the quantity.
-    Implements docs/theory/tracking.md, eq. (9).
+    Only limits on tilt, speed and rotor speed count. A time span beyond a limit gives a shift if
+    its largest excess is above 0.5 * `tolerated` * max(1, m). Here m is the largest magnitude of
+    the limited quantity. Implements docs/theory/tracking.md, eq. (9).
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the states, in the order of the columns of `flown.states`.
+    flown : Flown
+        The simulated flight.
+    limits : sequence of LimitValues
+        Values and bounds of the limited quantities along the flight.
+    tolerated : float
+        Tolerated violation of a limit, relative to the larger of 1 and the limit.
     """
     found: list[StateShift] = []
     for limit in limits:
@@ -105,7 +116,8 @@ def _is_kept_by_shifts(limit: str) -> bool:
 def _slope(limit: str, names: Sequence[str], states: FloatArray) -> dict[str, float]:
     """Return the gradient of a limited quantity with respect to the states of the vehicle.
 
-    The result maps names of states to partial derivatives at `states`.
+    The result maps names of states to partial derivatives at `states`. `limit` is the name of the
+    limit, `names` has the names of all states.
     """
     if limit == _SPEED_LIMIT:
         velocity = states[[names.index(name) for name in VELOCITY_STATES]]

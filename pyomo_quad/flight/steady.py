@@ -263,10 +263,10 @@ class SteadyFlight:
         return [k for k, n in enumerate(self._dynamics.state_names) if n in CIRCUIT_STATES]
 
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
-        """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
+        """Return the RC pair's voltage [V] and the pack's temperature [K] under a steady load.
 
-        The shape is (n, n_circuit), for n increasing charges `drawn` [A h]. None if the model has
-        neither.
+        The rows belong to increasing charges `drawn` from the full pack [A h]. A quantity that is
+        no state of the model has no column; None if neither has.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -401,8 +401,7 @@ class SteadyFlight:
         """Greatest power that the battery can give in its initial state [W].
 
         At this power, the voltage is half of the voltage without load. The scenario's limits on
-        voltage and current are not applied. The value is negative if the battery has a negative
-        voltage.
+        voltage and current are not applied.
         """
         return float(self._read(("battery.greatest_power",), self._start)[0])
 

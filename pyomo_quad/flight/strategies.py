@@ -49,8 +49,9 @@ class Strategy(NamedTuple, Generic[Subject]):
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
     """Carry out the strategies whose conditions hold, one after the other, and record the outcomes.
 
-    The strategies change `subject` in place. An outcome is recorded in `search` as "name of the
-    strategy: outcome". An action that returns None is neither repeated nor recorded.
+    The actions change `subject` in place. An outcome is recorded in `search` as "name of the
+    strategy: outcome". While its condition holds, a strategy acts up to `Strategy.repeats` times in
+    a row. If an action returns None, nothing is recorded, and the next strategy follows.
     """
     for strategy in table:
         for _ in range(strategy.repeats):

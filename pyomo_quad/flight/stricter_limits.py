@@ -4,6 +4,10 @@ A solution satisfies its limits at the collocation points. Between them its path
 of a zone, or go below the floor. The problem is solved again with a limit that is stricter by the
 violation. This costs energy, which is compared with an estimate of the least energy; see
 docs/theory/tracking.md, eq. (10).
+
+The solution with the mission's own limits is called relaxed. Arguments `figures` are the tolerances
+of an accuracy level. A limit is broken if its violation exceeds them. Arguments `numbers` map full
+names of parameters to their values in the mission.
 """
 
 from __future__ import annotations
@@ -86,8 +90,8 @@ class Mission(Protocol):
     def solve(self, numbers: dict[str, float], **chosen: Any) -> Solution:
         """Solve the mission with changed parameter values and further arguments of `Problem.solve`.
 
-        `numbers` maps full names of parameters, changed or not, to values. `chosen` replaces
-        arguments of the property `arguments`.
+        `numbers` maps full names of parameters, changed or not, to values. The keyword arguments
+        ``chosen`` replace those of the mission, which the property `arguments` returns.
         """
 
 
@@ -100,7 +104,8 @@ def within_limits(
 ) -> Iterator[Plan]:
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
-    `plan` was made from the solution `relaxed`. `fly` takes a solution and the estimated least
+    `plan` was made from `relaxed`, the solution with the mission's own limits. A limit is broken if
+    its violation exceeds the tolerances `figures`. `fly` takes a solution and the estimated least
     energy [J], and returns a simulated plan. The iteration ends when limits are kept or stricter
     limits do not help.
     """
@@ -192,7 +197,8 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
 def _helps(breach: Violation, figures: Figures) -> bool:
     """Return whether a solve with a stricter limit is worth trying for a violated limit.
 
-    The violation must be small, and a parameter of the model must set the limit.
+    The violation must be at most half of max(1, abs(limit)), and a parameter must set the limit.
+    Limits on thrust and rotor speed need the tolerances of a usable plan.
     """
     name = breach.name.partition("[")[0]
     # Stricter limits on rotor speed and thrust cost more energy than any accuracy level tolerates.
@@ -206,8 +212,8 @@ def _by_parameter(
 ) -> dict[str, tuple[float, float]]:
     """Return the violation of each broken limit, and the change that makes the limit stricter.
 
-    The keys are the parameters that set the limits. Both numbers have the unit of the parameter.
-    The violation is positive, the change may have either sign.
+    The keys are parameters in `numbers`, and the values have their units. The violation is
+    positive, the change of either sign. `broken` has the violations in the flight of `plan`.
     """
     found = dict[str, tuple[float, float]]()
     for breach in broken:
@@ -225,7 +231,8 @@ def _by_parameter(
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Return parameter values with changes added, for a solve with stricter limits.
 
-    A parameter decreases by at most half. Start and goal stay between floor and ceiling.
+    A parameter decreases by at most half. The floor rises at most to the lower of start and goal.
+    The ceiling falls at most to the higher of the two.
     """
     found = dict(numbers)
     for name, change in changes.items():
@@ -274,10 +281,10 @@ def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], den
 def _windows(
     plan: Plan, figures: Figures, numbers: Mapping[str, float]
 ) -> list[tuple[float, float]]:
-    """Return the periods in which the mesh is refined, because a flight cuts through a zone.
+    """Return the periods in which the mesh is refined, because a plan's flight cuts through a zone.
 
-    Each period has a start and an end [s]. `numbers` maps parameters that set limits to values that
-    replace those of the mission.
+    Each period has a start and an end [s]. The flight is the simulated one. `numbers` maps
+    parameters that set limits to values that replace the mission's.
     """
     if plan.flown is None:
         return []

@@ -305,9 +305,10 @@ class BestOrder:
         self._flown: list[tuple[float, OrderSearch, Solution | None]] = []
 
     def candidates(self) -> tuple[OrderSearch, ...]:
-        """Return the cheapest orders of the waypoints, by the costs of their legs.
+        """Return the at most three cheapest orders of the waypoints, by the costs of their legs.
 
-        A leg is the flight between two places, from hover to hover.
+        Each `OrderSearch` has one order. A leg is the flight between two places, from hover to
+        hover.
         """
         return find_orders(self._scenario.as_forecast(), self._leg)
 
@@ -360,7 +361,8 @@ class BestOrder:
     def _roughly(self, ordered: Scenario) -> Solution:
         """Return the solution of the mission on a coarse mesh, for one order of the waypoints.
 
-        If the solve fails, it is the solution of an easier mission, exactly through the waypoints.
+        If the solve fails, it is the solution of a mission without the waypoints' radii and speed
+        limits. Passing exact points at any speed is easier for the solver.
         """
         told = ordered.as_forecast()
         once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}

@@ -4,6 +4,9 @@ Between its collocation points, the solution satisfies the equations of motion o
 Its controls alone would miss the goal. A linear-quadratic regulator keeps the simulated vehicle
 near the solution. The simulated states and controls satisfy the equations, at nearly the same
 energy. Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
+
+Arguments `demands` are changes of the path that the vehicle follows. They move the path out of
+zones and away from limits, with rest during hovers.
 """
 
 from __future__ import annotations
@@ -113,9 +116,11 @@ def tracked(
 ) -> Trajectories | None:
     """Return the simulated flight of a vehicle that follows a coarse solution under feedback.
 
-    The controls anticipate the deviations in `previous`, an earlier result for `coarse`. Long
-    elements of the mesh are split. None if the vehicle cannot follow the solution. Raises a
-    SolveError if the integration fails, or the enclosing `Deadline` has passed.
+    `demands` changes the path that the vehicle follows. The controls anticipate the deviations in
+    `previous`, an earlier result for `coarse`. The regulator corrects the controls once in each
+    mesh element, so that elements longer than 0.2 s are split. None if the vehicle cannot follow
+    the solution. Raises a SolveError if the integration fails, or the enclosing `Deadline` has
+    passed.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
@@ -201,7 +206,8 @@ class _Regulator:
     def driven_by(self, aside: FloatArray) -> FloatArray:
         """Return the disturbances of the regulated system that a displacement of the path causes.
 
-        The disturbance of element k is F aside[k] - aside[k + 1], with the matrix F of eq. (2).
+        `aside` has the displacement of the path's states at the n + 1 ends of the elements. The
+        disturbance of element k is F aside[k] - aside[k + 1], with the matrix F of eq. (2).
         """
         # This defect of the displaced path in the linearised equations acts like a known
         # disturbance of the states, which the regulator can anticipate.
@@ -219,9 +225,10 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
 
 
 def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
-    """Return the changes of a path's states by demands, at the element boundaries.
+    """Return the changes of a path's states that `demands` causes, at the element boundaries.
 
-    The shape is (n_elements + 1, n_states), in the order of `dynamics.state_names`.
+    The shape is (n_elements + 1, n_states), in the order of `dynamics.state_names`. If the mission
+    keeps the heading, yaw angle and body rate r are changed, too.
     """
     aside = np.zeros_like(path.states)
     # Pushes change position and velocity. The regulator finds the tilt that the displaced path
@@ -263,7 +270,9 @@ def _regulator(
 ) -> _Regulator:
     """Return the linear-quadratic regulator for the elements of a mesh.
 
-    `borders` are the element boundaries [s]. Implements docs/theory/tracking.md, eqs. (2) to (4).
+    The equations are linearised along `coarse`. `borders` are the element boundaries [s]. During
+    the hovers and shifts in `demands`, the affected states have a greater weight. Implements
+    docs/theory/tracking.md, eqs. (2) to (4).
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also
@@ -317,7 +326,7 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
     """Return the disturbance of the states in each mesh element, from an earlier flight.
 
     It is d[k + 1] - (F d[k] + G c[k]) in element k, docs/theory/tracking.md, eq. (6). Here d is the
-    deviation from the path, and c the correction of the controls.
+    deviation from the path, c the correction of the controls.
     """
     # `path` is that of the solution itself, without pushes and shifts.
     deviation = previous.states_at(path.borders) - path.states
@@ -335,7 +344,9 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
 def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray:
     """Return the corrections of the controls that anticipate known disturbances of the states.
 
-    The shape is (n_elements, n_controls). Implements docs/theory/tracking.md, eq. (7).
+    The shape is (n_elements, n_controls). `disturbances` has the change of each state in each
+    element that the linearised equations leave out, shape (n_elements, n_states). Implements
+    docs/theory/tracking.md, eq. (7).
     """
     commands = np.zeros(regulator.gains.shape[:2])
     ahead = np.zeros(disturbances.shape[1])
@@ -360,10 +371,11 @@ def _weight(name: str) -> float:
 def _followed(
     dynamics: Dynamics, path: _Path, regulator: _Regulator, commands: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Simulate the vehicle under feedback along a path, one mesh element after the other.
+    """Simulate the vehicle under feedback along a path, element by element.
 
-    The result is states and energy at the nodes, in one array, and the corrected controls. None if
-    a state grows beyond any physical value. Implements docs/theory/tracking.md, eq. (1).
+    `commands`, one row per element, adds to the path's controls and the feedback. The results are
+    states with energy at the nodes, and corrected controls; None if a state diverges.
+    Implements docs/theory/tracking.md, eq. (1).
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

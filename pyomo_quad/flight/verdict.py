@@ -2,6 +2,17 @@
 
 A solution consists of the variables of the discretised problem. A plan adds the scenario, the
 energy and a status. To verify a plan, its controls are simulated without feedback.
+
+The controls of a coarse solution are first corrected by feedback: a simulated vehicle follows the
+planned path (`flight.tracking`). If this flight breaks limits, the path is changed, and the next
+flight follows the changed path.
+
+argument | meaning
+accuracy | required accuracy level, which sets the tolerances
+wanted | final states that the flight should reach, shape (n_states,)
+least_energy | estimate of the mission's least energy [J], to compare with a flight's energy
+demands | changes of the path that a flight under feedback follows
+previous | preceding flight under feedback, whose deviations the next one anticipates
 """
 
 from __future__ import annotations
@@ -110,9 +121,14 @@ def verified(
 ) -> Plan:
     """Verify a plan by simulation of its controls, and return it with the result.
 
-    Except at `proof`, feedback first corrects the controls (docs/theory/tracking.md), and the error
-    estimate is checked. The status is `VERIFIED` if the solve converged and all checks succeed. If
-    `is_rough`, a usable plan suffices. `least_energy` [J] is by default the plan's energy.
+    `plan` was made from `solution`. Except at the accuracy `proof`, feedback first corrects the
+    controls (docs/theory/tracking.md), and the error estimate is checked. Models without the states
+    for the feedback (see `can_be_tracked`) are simulated at once. A planned path far beyond a limit
+    is not simulated. The status is `VERIFIED` if the solve converged and all checks succeed.
+
+    The default of `accuracy` is that of the scenario. The default of `least_energy` is the plan's
+    energy. If `is_rough`, the corrections end at the first usable plan, which keeps the tolerances
+    `scenario.accuracy.USABLE`.
     """
     started = time.perf_counter()
     asked = accuracy or plan.scenario.solver.accuracy
@@ -150,10 +166,11 @@ def verified(
 def _corrected(
     plan: Plan, accuracy: Accuracy, wanted: FloatArray, least_energy: float, *, is_rough: bool
 ) -> tuple[Plan, Verification, Flown]:
-    """Correct a plan's controls by feedback, and simulate the corrected controls.
+    """Correct a plan's controls by feedback, and simulate the corrected controls without feedback.
 
-    The result is a simulation without feedback or, if no flight under feedback is usable, the last
-    of them. Raises a SolveError if the first flight or the simulation fails.
+    At most five flights under feedback follow, until one is verified (with `is_rough`, usable).
+    If none is usable, the last is returned. A failed first flight or simulation raises a
+    SolveError.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
@@ -187,10 +204,10 @@ def _corrected(
 
 
 def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
-    """Return the path changes for the next simulated flight, after a flight that broke limits.
+    """Return the changes of the path for the next flight under feedback, after one broke limits.
 
-    They include `demands`, the changes of that flight. `allowed` is the tolerated violation of a
-    limit, relative to the larger of 1 and the limit.
+    `path` has samples of that flight. The result includes `demands`, the changes that it followed.
+    `allowed` is the tolerated violation, relative to the larger of 1 and the limit.
     """
     # New changes are displacements out of zones, shifts away from limits on tilt, speed and rotor
     # speeds, and rest during all hovers if the flight moved during a hover.
@@ -207,9 +224,10 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
 
 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
-    """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
+    """Return the final states that the flight of a plan should reach, shape (n_states,).
 
-    They are `wanted`, except for states that measure consumption, such as the charge drawn.
+    They are `wanted`, except for states that measure consumption, such as the charge drawn. Their
+    final values are those of the plan.
     """
     used = set(plan.dynamics.states_used_up)
     is_used = np.array([name in used for name in plan.dynamics.state_names])
@@ -220,7 +238,8 @@ def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
     """Return the reason why a simulated plan does not reach the required accuracy, as a message.
 
-    The reason is a violated limit or too much energy; otherwise the message of the solve is kept.
+    The reason is a violated limit, or an energy that may exceed the optimum by more than the
+    tolerance. Otherwise, the message of the solve is kept.
     """
     excess = plan.error_estimate
     if accuracy is Accuracy.PROOF or (found.is_verified and excess <= FIGURES[accuracy].energy):
@@ -235,8 +254,7 @@ def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
 def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Simulate a plan's controls in open loop, and compare the flight with the plan.
 
-    `wanted` has the final states that the flight should reach. Raises a SolveError if the
-    integrator fails or the time limit passes.
+    Raises a SolveError if the integrator fails or the time limit passes.
     """
     held = plan.trajectories
     return verify_controls(
@@ -259,10 +277,10 @@ def _followed(
     demands: Demands,
     previous: Trajectories | None,
 ) -> Plan:
-    """Return a plan whose controls are corrected by feedback, or `plan` if it cannot be followed.
+    """Correct a plan's controls by feedback; return `plan` if the vehicle cannot follow its path.
 
     The error estimate is max(e, abs(E - E_least) / E_least), docs/theory/tracking.md, eq. (5). Here
-    e is the estimate of `plan`, E the energy of the flight, and E_least is `least_energy`.
+    e is the estimate of `plan`, E the corrected plan's energy, and E_least is `least_energy`.
     """
     followed = tracked(plan.dynamics, plan.trajectories, demands, previous)
     if followed is None:
@@ -280,7 +298,8 @@ def _followed(
 def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Compare the planned states with goal, limits and battery, without a simulation.
 
-    `wanted` has the final states to be reached, shape (n_states,).
+    The returned `Flown` has samples of the planned path. `accuracy` also sets their distance near
+    zones.
     """
     path = path_of(plan, accuracy)
     return compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy), path

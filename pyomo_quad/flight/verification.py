@@ -64,9 +64,28 @@ def fly_controls(
 ) -> Flown:
     """Simulate the controls of a plan in open loop, between the two times of `horizon` [s].
 
-    `controls` has shape (n_points, n_controls). `samples_per_element` is the number of equally
-    spaced samples, or fractions of each element, increasing to 1. A failed integration or the time
-    limit raises a SolveError.
+    A failed integration raises a SolveError, as does the time limit of an enclosing `Deadline`.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Equations of the vehicle.
+    mesh : Mesh
+        Mesh of the plan.
+    controls : ndarray, shape (n_points, n_controls)
+        Controls at the collocation points.
+    start : ndarray, shape (n_states,)
+        Initial states.
+    horizon : (float, float)
+        Start and end of the flight [s].
+    samples_per_element : int or sequence of ndarray
+        Number of equally spaced samples in each mesh element; or one array per element, of
+        fractions of the element that increase to 1.
+    method : str
+        Integration method of `scipy.integrate.solve_ivp`.
+    integration : float
+        Relative and absolute tolerance of the integration. In flights longer than 30 s, the
+        relative tolerance is smaller.
     """
     borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
     flow = ClosedLoop.without_feedback(dynamics)
@@ -262,8 +281,9 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     Returns
     -------
     (float, float)
-        Results of `balance_lacking` for the samples of the flight; zeros for a model without a
-        battery.
+        Largest values over the samples of the flight: missing power relative to the power drawn,
+        and missing charge relative to the capacity. See `balance_lacking`. Both are zero for a
+        model without a battery.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -382,8 +402,9 @@ def verify_controls(
     """Simulate a plan's controls and compare the flight with the plan.
 
     `states` are at the nodes, shape (n_points + 1, n_states). `energy` is the planned energy [J].
-    `goal` has the final states to reach, by default those planned. See `fly_controls` for
-    `controls`, `horizon` and errors, and `samples_of_path` for the samples.
+    `goal` has the final states to reach, by default those planned. `passages` are the waypoints
+    with the times at which they must be passed. `accuracy` sets the tolerances. See `fly_controls`
+    for `controls`, `horizon` and errors. Limits are checked at the samples of `samples_of_path`.
     """
     figures = FIGURES[accuracy]
     flown = fly_controls(
@@ -409,8 +430,9 @@ def compared(
 ) -> Verification:
     """Compare a flight with the plan: final states, energy, limits and battery.
 
-    `energy` is the planned energy [J], and `wanted` has the final states that the flight should
-    reach.
+    `flown` is the flight, and `energy` the planned energy [J]. `wanted` has the final states that
+    the flight should reach, and `passages` the waypoints that it should pass. `accuracy` is the
+    required accuracy level, which sets the tolerances.
     """
     figures = FIGURES[accuracy]
     planned = dict(zip(dynamics.state_names, wanted, strict=True))

@@ -43,9 +43,10 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
     """Draw random winds, masses and powers for `count` simulated flights of fixed duration.
 
-    If the scenario states no error of the wind forecast, all flights have the actual wind. The
-    draws of a flight depend only on `seed` and its index. The returned equations are without random
-    errors.
+    A scenario has an actual wind, and may have a forecast. If the scenario states an error of the
+    forecast, each flight has the forecast wind plus a random error. Otherwise, all flights have the
+    actual wind. Turbulence is drawn for each flight. The draws of a flight depend only on `seed`
+    and its index. The returned equations are without random errors.
     """
     told = scenario.as_forecast().wind
     # With an error of the forecast, each wind is the forecast plus a random error.

@@ -1,8 +1,9 @@
 """Geometry of keep-out zones near a leg: intersections, sides of passage, and points round a zone.
 
-A leg is the line between two waypoints. A vertical plane across the leg shows on which side a route
-passes a zone. If the leg enters the zone, the plane goes through the middle of the part inside.
-Otherwise, it goes through the point of the leg nearest to the zone.
+A leg is the line between two waypoints. A plane across the leg shows on which side a route passes a
+zone. The plane is vertical, or horizontal if the leg is vertical. If the leg enters the zone, the
+plane goes through the middle of the part inside. Otherwise, it goes through the point of the leg
+nearest to the zone. A zone is enlarged by a clearance, the distance that a route keeps from it.
 """
 
 from collections.abc import Sequence
@@ -109,8 +110,19 @@ def sides_passed(
 ) -> NDArray[np.intp]:
     """Return the side on which each of n straight lines passes a keep-out zone, shape (n,).
 
-    A side is an index in `Side`, or -1 if the line does not cross the plane that the module
-    defines. If this plane goes through one of the `ends` of the leg, all are -1.
+    A side is an index in `Side`, or -1 if the line does not cross the plane described in the
+    module. If this plane goes through one of the `ends` of the leg, all are -1.
+
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+    ends : ndarray, shape (2, 3)
+        Ends of the leg near the zone [m].
+    clearance : float
+        Distance by which the zone is enlarged [m]. It is increased if the leg stays outside.
+    starts, stops : ndarray, shape (n, 3)
+        Ends of the lines [m].
     """
     section = _section(zone, ends, clearance)
     if section is None:
@@ -126,7 +138,7 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Cross-section of an enlarged keep-out zone in the vertical plane that the module defines."""
+    """Cross-section of a keep-out zone with its clearance, in the plane that the module defines."""
 
     middle: FloatArray
     """Centre of the cross-section [m], shape (3,). The unit vectors `along` the horizontal course,
@@ -143,7 +155,8 @@ class _Section(NamedTuple):
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
     """Return the cross-section of an enlarged keep-out zone in the plane that the module defines.
 
-    The result is None if the plane goes through an end of the leg.
+    `ends` are the ends of the leg, shape (2, 3) [m]. The result is None if the plane goes through
+    one of them.
     """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
@@ -188,17 +201,18 @@ def _chord(
 ) -> tuple[FloatArray, float]:
     """Return the midpoint, shape (3,), and half the length [m] of a line's part inside a zone.
 
-    `direction` is a unit vector. The zone is enlarged by the clearance `reach` [m].
+    The line goes in the direction of the unit vector `direction`, through the point `place` [m]
+    inside the zone. The zone is enlarged by the clearance `reach` [m].
     """
     (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
     return place + (first + last) / 2 * direction, float(last - first) / 2
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return unit vectors along a leg, to its left and up, each of shape (3,).
+    """Return three unit vectors for a leg: along its horizontal course, to its left, and up.
 
-    The first is horizontal. If the leg is vertical, the first points up and the other two are
-    horizontal.
+    A vertical leg has no horizontal course. Its first vector points up, and the other two are
+    horizontal. Each has shape (3,).
     """
     upward = np.array([0.0, 0.0, 1.0])
     # Horizontal, so that a route beside a tall zone passes it on the left or right, even if the leg

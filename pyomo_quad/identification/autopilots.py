@@ -1,8 +1,9 @@
 """Readers of autopilot logs: PX4 (`.ulg`) and ArduPilot (`.BIN`).
 
 The readers return a table with the columns of `identification.columns.COLUMNS`. Each row is the
-average over a second of flight. Each log is one flight, named after its file. All airborne rows
-count as cruise, and the payload is 0. If the log has no barometer, the air density at sea level is
+average over a second of flight. Each log is one flight, named after its file. The autopilot's land
+detector tells which rows are airborne; without it, all are. The phase of flight in every airborne
+row is cruise, and the payload is 0. If the log has no barometer, the air density at sea level is
 assumed.
 """
 

@@ -191,7 +191,8 @@ def draw_curve(found: Identification) -> Figure:
     """Draw the power of steady level flight over airspeed for each payload, with measurements.
 
     The curves are computed with the fitted model at the mean air density. A dot is the mean
-    measured power in cruise at one airspeed with at least 20 rows.
+    measured power of the log's rows in cruise at one airspeed, rounded to 1 m/s. Airspeeds with
+    fewer than 20 rows are left out.
     """
     is_cruise = (found.frame[PHASE] == CRUISE).to_numpy()
     frame, airspeed = found.frame[is_cruise], found.airspeeds[is_cruise]

@@ -100,7 +100,7 @@ class IdentifiedParameter:
     name : str
         Name of the field.
     base, base_source : float, str
-        Value before the fit, and its source, which may be a fit to the same flights.
+        Value before the fit, and its source in words, for example an earlier fit to flights.
     value : float
         Fitted value.
     first_half, second_half : float
@@ -143,7 +143,8 @@ class Identification:
     trials : tuple of Trial
         Errors of extrapolations.
     together : tuple of (str, str)
-        Result of `confounded` for the undetermined fields.
+        Pairs for the fields that the flights do not determine: the field, and the other field that
+        has the most similar effect on the power. The latter is "" if no effect is similar.
     cautions : tuple of str
         Warnings that the rows are too few or too far apart in time.
     """
@@ -343,12 +344,11 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the upper bound of a drag coefficient in the fit [kg/s or kg/m].
 
-    With this coefficient, the drag at the largest airspeed of the log equals the weight without
-    payload: the vehicle tilts by 45° in level flight.
+    The drag is the coefficient times airspeed^power (1 or 2). At the bound, the drag at the log's
+    largest airspeed equals the weight without payload: the vehicle tilts by 45°.
     """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
-    # `power` is the exponent of the airspeed in the drag, 1 or 2.
     return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
 
 
@@ -391,9 +391,10 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude of each parameter p for the test in `undetermined`, in p's unit.
+    """Return the smallest size m of each fitted parameter p in the test of `undetermined`.
 
-    The test changes p in proportion to max(abs(p), least magnitude).
+    The test changes p by 10 % of max(abs(p), m), so that a parameter near zero is changed, too. The
+    size m is in the unit of p.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -457,7 +458,8 @@ def identify(
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
-    A fit to every second row shows whether the rows are too far apart.
+    A fit to every second row shows whether they are too far apart. `values` are the fitted
+    parameters, `draws` their bootstrap samples, shape (n_draws, n).
     """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)

@@ -105,8 +105,9 @@ def _read_rows(file: Path) -> pd.DataFrame:
 def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
     """Read battery voltage and current of a log's flights, including rows on the ground.
 
-    `flown` has rows of the flights from `read_logs`. The columns are flight, time, voltage and
-    current; without one of these, the result is empty. An unreadable file raises a ScenarioError.
+    `flown`, from `read_logs`, selects the flights. The columns are flight, time, voltage and
+    current. If the file lacks one of these, the result is empty. An unreadable file raises a
+    ScenarioError.
     """
     whole = _read(file, printable(str(file)))
     wanted = [FLIGHT, TIME, *_ELECTRIC]

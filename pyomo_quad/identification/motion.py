@@ -148,8 +148,8 @@ class LoggedMotion:
     def _trimmed(self, numbers: Mapping[str, float]) -> FloatArray:
         """Return the states that produce the logged accelerations, shape (n_rows, n_states).
 
-        A row without solution, for example after a jump in the logged velocity, raises a
-        ScenarioError.
+        `numbers` has changed model parameters by full name. A row without solution, for example
+        after a jump in the logged velocity, raises a ScenarioError.
         """
         states = self._states.copy()
         open_rows = np.ones(len(states), dtype=bool)
@@ -199,7 +199,10 @@ class LoggedMotion:
 
 
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
-    """Return the accelerations over ground [m/s²] in each row of a log, shape (n_rows, 3)."""
+    """Return the acceleration north, east and up [m/s²] in each row of a log, shape (n_rows, 3).
+
+    It is the finite difference of the velocity over ground.
+    """
     found = np.zeros((len(frame), len(VELOCITY)))
     # No finite difference spans two flights.
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():

@@ -4,7 +4,8 @@ Method: see docs/theory/identification.md, eqs. (7) to (9).
 
 The battery equations of the planner's model are simulated under the measured powers of the flights.
 The packs differ in age and temperature. The voltage before the motors load a pack gives its charge
-at the start. The voltage in the first seconds under load gives its resistance.
+at the start. The voltage in the first seconds under load gives its resistance, relative to that of
+the median pack.
 """
 
 from dataclasses import dataclass
@@ -92,15 +93,18 @@ class PackIdentification:
         Fitted fields.
     flights : DataFrame
         For each unseen flight: charges `start_charge_percent` and `end_charge_percent`, resistance
-        relative to the median pack (`resistance_factor`), `error_mV` and `unread_error_mV`.
+        relative to the median pack (`resistance_factor`), and root mean square errors [mV per
+        cell]. The error is `error_mV` with this resistance, and `unread_error_mV` with the
+        resistance of the median pack.
     rows : DataFrame
         Cell voltages `measured_V` and `computed_V` of unseen flights over time [s].
     read_s : float
         End of the first seconds under load, in the time of `rows` [s].
     error_mV : float
-        Root mean square error of unseen flights [mV per cell].
+        Root mean square error over all unseen flights [mV per cell], with the resistance of each
+        flight's pack.
     error_unread_mV : float
-        The same error, if every pack has the resistance of the median pack.
+        The same error, with the resistance of the median pack for every flight.
     base_error_mV : float
         Error of all flights with the battery before the fit.
     """
@@ -287,8 +291,8 @@ class Circuit:
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
         """Return the charge that is missing from the pack at the start of each flight [A h].
 
-        The charge follows from the open-circuit voltage at the start, and is at most 95 % of the
-        capacity. See docs/theory/identification.md, eq. (7).
+        The missing charge follows from the open-circuit voltage at the start. It is limited to 0 to
+        95 % of the capacity. See docs/theory/identification.md, eq. (7).
         """
         # Voltage and power before the motors load the pack, or of the first row of the record.
         voltage, power = record.rest.T
@@ -420,7 +424,8 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 def _resistance(values: FloatArray) -> float:
     """Return the total resistance of a cell after a long time under load [ohm].
 
-    `values` are the logarithms of the fitted fields.
+    It is the sum of cell and relaxation resistance. `values` are the logarithms of the fitted
+    battery fields, in the order of `FITTED`.
     """
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
@@ -455,8 +460,10 @@ def with_circuit(scenario: Scenario) -> Scenario:
 def _as_given(scenario: Scenario) -> list[float]:
     """Return the initial values of the fitted battery fields, in the order of `FITTED`.
 
-    Fields that the battery lacks have positive values, because the fit takes logarithms.
+    Without a relaxation table, its resistance is 1e-6 ohm and its time constant 1 s. An activation
+    energy that is missing or zero becomes 1e-6 J/mol.
     """
+    # All values are positive, because the fit takes logarithms.
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)
     if pack.relaxation is not None:
@@ -486,7 +493,7 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
     """Return measured and computed cell voltage [V] over time in one table, flight by flight.
 
-    Times after the end of a flight's log are left out.
+    `computed` has shape (n_times, n_flights). Times after the end of a flight's log are left out.
     """
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)

@@ -55,8 +55,9 @@ def write_identification(
 ) -> None:
     """Write the results of an identification: vehicle file, report, tables and figures.
 
-    `folder` is empty. `base` is the vehicle before the fit: a name of the library or the path of a
-    vehicle file. `pack` is the battery fitted to the same flights.
+    `folder` must exist and be empty. `base` is the vehicle before the fit: the name of a vehicle in
+    the package's library, or the path of a vehicle file. `figures` chooses the file format of the
+    figures. `pack` is the battery fitted to the same flights.
     """
     battery = ""
     if pack is not None:
@@ -163,8 +164,9 @@ def pack_file(pack: PackIdentification) -> str:
 def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> Scores:
     """Write the computed energy of each flight and a summary into an empty folder.
 
-    `power` is the computed power of each row of `frame`, shape (n_rows,) [W]. The result has the
-    errors of the computed energies and powers.
+    `frame` has the logged flights with measured power, one row per time. `power` is the computed
+    power of each row, shape (n_rows,) [W]. The result has the errors of the computed energies and
+    powers.
     """
     write_table(energies(frame, power), folder / PREDICTIONS_NAME)
     found = scores(frame, power)

@@ -6,9 +6,10 @@ constant efficiency | proportional to the ideal power of hover, P = c (m g)^1.5 
 regression by phase | P = a + b (m g)^1.5 / sqrt(rho), with own a and b in each phase of the flight
 
 P is the power, m the mass with payload, g gravity, and rho the air density; a, b and c are fitted.
-All models are fitted and validated in the same way, on the same flights. The regression by phase
-has the form of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas emissions
-savings for very small package delivery", Patterns 3 (2022).
+All models are fitted and validated in the same way, on the same flights. Arguments `frame` are the
+table of these flights: one row per time, with the columns `identification.columns.COLUMNS`. The
+regression by phase has the form of Rodrigues et al., "Drone flight data reveal energy and
+greenhouse gas emissions savings for very small package delivery", Patterns 3 (2022).
 """
 
 from collections.abc import Sequence
@@ -111,8 +112,9 @@ class Measure:
 def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...]:
     """Compare the identified model with the best published model, for each kind of error.
 
-    `models` comes from `model_table`. `tried` has its extrapolations, in the order of its columns.
-    The results are for the energies of the flights, the powers of the rows, and each extrapolation.
+    `models` comes from `model_table`. `tried` has the identified model's extrapolation tests, in
+    the order of their columns in `models`. The errors are those of a flight's energy, of the power
+    in a row of the log, and of the energy in each extrapolation.
     """
     *rivals, own = models.to_dict("records")
     columns = {

@@ -75,7 +75,8 @@ class SteadyFit:
     unseen : ndarray, shape (n_points,)
         Power by a fit to the other points [W]; NaN if there are too few.
     together : tuple of (str, str)
-        Result of `confounded` for the fields that were not fitted.
+        Pairs for the fields that were not fitted: the field, and the other field that has the most
+        similar effect on the power. The latter is "" if no effect is similar.
     cautions : tuple of str
         Warnings about the result.
     """
@@ -109,8 +110,9 @@ def _mean_error(power: FloatArray, points: pd.DataFrame) -> float:
 def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     """Read points of steady flight from a CSV file, and complete missing columns.
 
-    The columns are some of `STEADY_COLUMNS`, with power or endurance. If the file is unreadable, a
-    value impossible, or the power seems to be in kW or mW, a ScenarioError is raised.
+    The columns are some of `STEADY_COLUMNS`, with power or endurance. Missing payloads and air
+    densities are those of the scenario; missing airspeeds and climbs are 0. If the file is
+    unreadable, a value impossible, or the power seems to be in kW or mW, a ScenarioError is raised.
     """
     points = filled_in(_read_csv(file), scenario)
     for name in points:
@@ -136,8 +138,9 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Complete a table of measured points of steady flight with default values.
 
-    If endurances replace the powers, a flight is assumed to use 80 % of the stored energy: the
-    power is 0.8 * stored energy of the battery / endurance.
+    A missing payload or air density is that of the scenario; a missing airspeed or climb is 0. If
+    the table has endurances but no powers, a flight is assumed to use 80 % of the stored energy:
+    the power is 0.8 * stored energy of the scenario's battery / endurance.
     """
     frame = frame.copy()
     if POWER not in frame:
@@ -180,8 +183,9 @@ def _read_csv(file: Path) -> pd.DataFrame:
 def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Convert points of steady flight to the format of logged flights.
 
-    Each point becomes a flight of two equal rows in cruise toward north, in calm air. The fit to
-    logged flights can then use the points.
+    Each point, also a hover, becomes a flight of two equal rows toward north, in calm air. Its
+    phase is cruise. The logged airspeed is the airspeed of the point divided by the vehicle's
+    `anemometer_factor` in the scenario. The fit to logged flights can then use the points.
     """
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor
@@ -224,9 +228,10 @@ def identify_steady(
 ) -> SteadyFit:
     """Fit a vehicle's power parameters to points of steady flight.
 
-    `scenario` comes from `vehicle_scenario`, and `points` from `read_steady`. Of the fields that
-    the points determine, at most the first `len(points)` are fitted. If the vehicle cannot fly
-    steadily at a point, a ScenarioError is raised.
+    `scenario` comes from `vehicle_scenario`, and `points` from `read_steady`. `names` are the
+    vehicle's fields to fit, in the order of preference. Fields that the points do not determine
+    keep their values, see `undetermined`. Of the others, at most the first `len(points)` are
+    fitted. If the vehicle cannot fly steadily at a point, a ScenarioError is raised.
     """
     frame = as_flights(points, scenario)
     motion = LoggedMotion(scenario, frame)
@@ -256,7 +261,10 @@ def identify_steady(
 def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
-    """Return the standard deviations of the fitted parameters, from the linearised fit."""
+    """Return the standard deviations of the fitted parameters, from the linearised fit.
+
+    `values` are the fitted parameters, and `power` is the power [W] computed with them.
+    """
     slopes = fit.slopes(values)
     measured = points[POWER].to_numpy()
     freedom = len(points) - len(values)

@@ -32,8 +32,9 @@ _CURVE_POINTS = 21
 def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) -> None:
     """Write the results of a fit to points of steady flight: vehicle file, report and tables.
 
-    `folder` is empty. `base` is the vehicle before the fit: a name of the library or the path of a
-    vehicle file (.toml).
+    `folder` must exist and be empty. `base` is the vehicle before the fit: the name of a vehicle in
+    the package's library, or the path of a vehicle file (.toml). `figures` chooses the file format
+    of the figure.
     """
     table = point_table(found.points, found.power)
     source = f"identified from {len(found.points)} steady points, plus or minus"

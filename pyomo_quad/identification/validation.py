@@ -3,6 +3,9 @@
 Method: see docs/theory/identification.md, eq. (5). The errors come from cross-validation and from
 extrapolations. They are computed for the package's model and, in the same way, for published
 models.
+
+Arguments `frame` are tables of logged flights, with one row per time, as `read_logs` returns them. The column
+for the phase tells take-off, cruise and landing apart.
 """
 
 from collections.abc import Callable
@@ -160,7 +163,8 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
     """Return the usual ground speed in cruise of each row's flight, shape (n_rows,) [m/s].
 
-    It is the 90 % quantile, rounded to a multiple of 2 m/s; 0 for a flight without cruise.
+    It is the 90 % quantile of the ground speeds in the flight's rows with the phase cruise. It is
+    rounded to a multiple of 2 m/s, and 0 for a flight without cruise.
     """
     north, east = (frame[name].to_numpy() for name in VELOCITY[:2])
     over_ground = pd.Series(np.hypot(north, east), index=frame.index)

@@ -11,7 +11,7 @@ n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of l
 R_k | radius[zone, ball] | m | radius of ball k
 c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance of the vehicle from ball k (negative inside), minus c
-w | edge_width | m | width over which two faces of a zone are blended
+w | edge_width | m | width over which two faces of a zone are blended, 0.5 m
 
 zone | balls
 cylinder | a disk and an interval of height
@@ -24,7 +24,8 @@ differ by less than about w, some places outside the zone are forbidden, too. Th
 the zone is at most 0.14 w = 70 mm, and at the corners of a box at most 0.28 w = 140 mm. Near a
 corner of a prism, more than two of the d_k may be nearly equal. If j of them are, the distance is
 at most (j - 1) 0.14 w. Away from the edges, exactly the zone is forbidden. The clearance moves each
-face outwards by the distance c; the edges between the faces stay sharp.
+face outwards by the distance c. It does not round the edges between the faces; only the smooth
+bound does.
 
 The fence (`keep_in`) is a convex polygon in x and y, which flights must not leave. Each of its
 edges gives a linear limit of the position, which is exact, also at the corners. The clearance does
@@ -135,8 +136,8 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and its centre on these axes [m].
 
-    An interval across an edge of a polygon has its centre at c n: n is the unit vector across the
-    edge, c the middle of the interval.
+    For an interval across a polygon's edge, with unit normal n, these are x and y. The centre is s
+    n: the interval's middle has distance s along n.
     """
     if ball.normal is None:
         return ball.axes, ball.centre
@@ -257,7 +258,8 @@ def _inside(
 ) -> RelationalExpression:
     """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t [s].
 
-    `edges` has axis, side (-1 lower, 1 upper) and coordinate [m] of each edge, by name.
+    `edges` has axis, side (-1 lower, 1 upper) and coordinate [m] of each edge, by name. `parameter`
+    names the Pyomo parameter with the coordinates.
     """
     axis, side, _ = edges[edge]
     out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(parameter)[edge]

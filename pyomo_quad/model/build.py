@@ -414,7 +414,10 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
 
 
 def _run(spec: str, file: Path) -> ModuleType:
-    """Import the Python file of a user's model builder and return it as a module."""
+    """Import the Python file of a user's model builder and return it as a module.
+
+    Error messages quote `spec`, the scenario's text "file.py:function".
+    """
     if not file.is_file():
         raise ScenarioError(f"model = {spec!r}: no file {file}; name an existing Python file.")
     module_spec = spec_from_file_location(f"custom_model_{file.stem}", file)

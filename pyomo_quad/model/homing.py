@@ -11,10 +11,11 @@ q | charge_home | A h | charge of the return to the nearest home
 
 A home is a place at which the vehicle may land: the start of the mission, or a rally point.
 
-The return is a steady, level flight at one airspeed V, with a constant current i of the pack. At
-the ground speed g = w + sqrt(V^2 - abs(wind)^2 + w^2), the charge is (1 + margin) i d / g.
-Assumptions, whose errors the margin covers: the wind on the whole return equals the wind at the
-vehicle, and climbing a metre takes as much charge as flying a metre.
+The return is computed with one airspeed V and with the constant current i of steady, level flight.
+At the ground speed g = w + sqrt(V^2 - abs(wind)^2 + w^2), the charge is (1 + margin) i d / g. The
+margin covers the errors of two assumptions. The wind on the whole return equals the wind at the
+vehicle. Without terrain, the vehicle flies straight home, and a slope takes as much charge per
+metre as level flight.
 
 Over terrain, the vehicle climbs vertically to the height H_k, flies level to the place above the
 home, and descends. H_k is the highest ground on the straight line to the home, plus the floor of

@@ -350,7 +350,8 @@ def start_where_measured(m: ConcreteModel) -> None:
     """Replace the conditions of a mission at the start by initial values of all states.
 
     The new block `start` has a mutable parameter for each state, with the state's name. Replanning
-    in flight sets it to the measured state. `yaw_keeping` is deactivated.
+    in flight sets these parameters to the measured states. The path constraint `yaw_keeping`, which
+    keeps the heading constant, is deactivated: a gust may have turned the vehicle.
     """
     for said in (m.mission.start_place, m.mission.start_rest, m.mission.start_rotor_speed):
         said.deactivate()
@@ -358,7 +359,7 @@ def start_where_measured(m: ConcreteModel) -> None:
         if m.battery.component(condition) is not None:
             m.battery.component(condition).deactivate()
     if m.mission.component("yaw_keeping") is not None:
-        # A gust may have changed the heading, and the vehicle must be free to turn back.
+        # The vehicle must be free to turn back.
         m.mission.yaw_keeping.deactivate()
         for row in _goal_of_turning(m.mission):
             row.activate()
@@ -370,7 +371,8 @@ def start_where_measured(m: ConcreteModel) -> None:
 def _start_measured(b: Block, start: float, state: Var) -> None:
     """Declare a mutable parameter for a state's measured value, and an initial condition with it.
 
-    A state that is also indexed by rotor gets one parameter and one condition per rotor.
+    Both are added to block `b`; `start` is the initial time. A state that is also indexed by rotor
+    gets one parameter and one condition per rotor.
     """
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()

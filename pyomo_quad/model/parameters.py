@@ -96,9 +96,10 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
 
 
 def declare_parameters(b: Block, scenario: Scenario) -> None:
-    """Add to the model block `b` the mutable Pyomo parameters that are registered under its name.
+    """Add to the model block `b` its mutable Pyomo parameters, with their values in the scenario.
 
-    `parameters_in` registers the declarations. See `add_parameters`.
+    A function with the decorator `parameters_in` (argument: the block's name) returns the
+    declarations of these parameters, see `Parameter`.
     """
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 

@@ -27,8 +27,8 @@ Alternating acceleration and braking of the rotors saves no energy, except in th
 `efficiency`: see docs/theory/bound.md, eqs. (5) and (6).
 
 The model `momentum` consists of momentum theory, blade drag and the power of climb, all in moving
-air. For its derivation and validated range see docs/theory/momentum_power.md, eqs. (1) to (6). T is
-the thrust of all rotors together:
+air. For its derivation and validated range see docs/theory/momentum_power.md, eqs. (1) to (6). In
+the table, T is the thrust of all rotors together:
 
 symbol | name | unit | meaning
 v_i | induced_velocity | m/s | velocity that the rotors add to the air, equal for all rotors
@@ -47,9 +47,10 @@ v_a^2 / 7.67 is added under the root. With this term, and with any term of at le
 is exactly one solution. The result is close to Leishman (2006), eq. (2.96), a fit to measurements
 on descending rotors.
 
-Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2) for each rotor, with the thrust and disc
-area of that rotor. The advance ratio is mu = v_p / (omega R), with the radius R of a rotor. K =
-4.65 is Bennett's, in Leishman (2006), section 5.4.
+Profile power of rotor j: P_j = c_0 T_j^(3/2) / sqrt(rho A_j) (1 + K mu^2), with the thrust T_j and
+disc area A_j of this rotor. In hover, the thrusts are equal, and the sum of the profile powers is
+c_0 T^(3/2) / sqrt(rho A). The advance ratio is mu = v_p / (omega R), with the radius R of a rotor.
+K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
 Accelerating a rotor of inertia I_r takes the power I_r omega alpha, which becomes kinetic energy of
 the rotor, plus the copper loss due to the torque I_r alpha.

@@ -158,7 +158,8 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
     """Declare thrust, moments and speed imbalance for any planar rotor layout.
 
-    For a standard cross of four rotors, they equal eq. (7) of Yacef et al.
+    The imbalance, the sum of rotor speeds signed by the direction of rotation, causes a gyroscopic
+    moment. For a standard cross, the results equal eqs. (6) and (7) of Yacef et al.
     """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")

@@ -394,8 +394,9 @@ def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[In
 def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
     """Return the members of a time-indexed component whose time is `instant`.
 
-    There may be several, such as one per rotor. If there is none, as for a limit during a hover,
-    the members at the component's first time are returned.
+    There may be several, such as one per rotor. Some components have no member at `instant`: a
+    limit on the hover at a waypoint, for example, exists only at times of this hover. For these
+    components, the members at the first time are returned.
     """
     at: set[Any] = {_as_tuple(index)[-1] for index in component}
     time = instant if instant in at else min(at, default=instant)

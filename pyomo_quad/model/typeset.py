@@ -118,7 +118,8 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
 class _Writer:
     """Writer of Pyomo expressions as LaTeX.
 
-    If `has_free_index` is true, the index of rotor 1 is written as j, for any rotor.
+    If `has_free_index` is true, the index 1 is written as the free index j. An equation that holds
+    for each rotor is then printed once, from its form for rotor 1.
     """
 
     def __init__(self, *, has_free_index: bool) -> None:

@@ -321,8 +321,8 @@ def _add_velocity(
 ) -> None:
     """Declare the wind along the world axis `name` at the vehicle's height, over time [m/s].
 
-    The Pyomo rule `rule` returns the wind at the reference height [m/s]. `said` begins the
-    documentation text.
+    It becomes a component of block `b`, over the time set of the model `m`. The rule `rule` returns
+    the wind at the reference height [m/s]. `said` begins the component's documentation.
     """
 
     def velocity(b: Block, t: float) -> NumericExpression:
@@ -333,9 +333,10 @@ def _add_velocity(
 
 
 def _velocity(name: str, b: Block, t: float) -> NumericExpression:
-    """Return the wind along one world axis, the sum of mean, harmonics and gust [m/s].
+    """Return the wind along the world axis `name` at the model time `t` [m/s], as a Pyomo rule.
 
-    The sum is eq. (11) of Yacef et al.
+    The wind is the sum of mean, harmonics and gust, eq. (11) of Yacef et al. `b` is the block
+    `wind` of the model.
     """
     axis, wind_time = b.component(name), b.wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
@@ -419,8 +420,8 @@ def _shapes(heights: FloatArray) -> FloatArray:
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
     """Return the truncated power basis of a cubic not-a-knot spline in height.
 
-    The functions of the height h, scaled to 0 to 1, are 1, h, h^2, h^3, and max(h - k, 0)^3 for
-    each inner knot k.
+    `shares` are the measured heights, scaled to 0 to 1, ends included. The functions of a scaled
+    height h are 1, h, h^2, h^3, and max(h - k, 0)^3 for each k in ``shares[2:-2]``.
     """
     # Three heights permit only a parabola, two heights a line.
     degree = min(_CUBIC, len(shares) - 1)
@@ -448,8 +449,9 @@ _ROWS_BESIDE = 30
 class _OverTime:
     """Wind speed along one axis, measured over time, as a spline that a Pyomo model can evaluate.
 
-    If the wind was measured over time and height, `speeds` has one coefficient of the spline over
-    height, at each time.
+    `speeds` holds the speed [m/s] at each of `times` [s]. A wind measured over time and height has
+    one such object for each coefficient of the spline over height. `speeds` then holds this
+    coefficient at each time.
     """
 
     def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:
@@ -466,7 +468,7 @@ class _OverTime:
         self._rows = slice(max(first - _ROWS_BESIDE, 0), last + _ROWS_BESIDE)
 
     def rule(self, _b: Block, t: Any) -> Any:
-        """Return the wind speed at a time in flight [m/s], as a Pyomo rule.
+        """Return the wind speed (or coefficient) at a time in flight [m/s], as a Pyomo rule.
 
         A number `t` gives a number, a Pyomo expression `t` an expression. The result has no Pyomo
         unit.

@@ -11,6 +11,10 @@ line through the values; along an axis of three points, a parabola. A spline nee
 grid point: points without wind, such as those inside a building, get the wind of the nearest point
 with wind.
 
+In each cell of the grid, the spline is a cubic polynomial of each coordinate. The control points of
+a cell are the Bernstein coefficients of this polynomial, four along each axis. The wind in the cell
+lies within their convex hull.
+
 The scenario's field `wind.beyond` selects what happens where the field has no wind:
 
 - With "refuse", the default, flights are permitted only where the wind is known. Constraints of the
@@ -179,10 +183,10 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 def _controlled(
     scenario: Scenario,
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
-    """Return axes and control points of a wind field, and which are in cells open to flights.
+    """Return axes and control points of a wind field, and whether flights may enter their cells.
 
-    The first array axis of the control points [m/s] is the wind component. The other array axes
-    have four points for each cell.
+    The axes are x, y, z [m] and time [s], as far as the field has them. The first array axis of the
+    control points [m/s] is the wind component. The others have four points for each cell.
     """
     grid = scenario.wind.grid
     if grid is None:
@@ -262,9 +266,10 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
-    """Return which control points of a wind field are in a cell with known wind at a corner.
+    """Return which control points of a wind field belong to a cell with known wind at a corner.
 
-    `shape` is the shape of the control points, with the wind component first.
+    `shape` is the shape of the array of all control points, with the wind component first. The
+    result has no axis for the component.
     """
     near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
     for number, count in enumerate(shape[1:]):

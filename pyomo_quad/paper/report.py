@@ -201,8 +201,8 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return the report's row that compares optimal and controlled flight of an experiment.
 
-    Its item `by_efficiency_percent` is the saving under the efficiency f_r of Yacef et al.; all
-    others are under the motors' electrical power.
+    Energies are integrals of the motors' electrical power. Only the item `by_efficiency_percent` is
+    the saving with the power model of Yacef et al., the efficiency f_r.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

@@ -1,4 +1,8 @@
-"""Computation of all results of the report on Yacef et al., in two worker processes."""
+"""Computation of all results of the report on a paper of Yacef et al., in two worker processes.
+
+The report states which results of their paper on energy-efficient path planning are reproduced.
+The paper has two experiments, one in calm air and one in wind.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import as_completed
@@ -42,7 +46,7 @@ class PackFacts:
     Attributes
     ----------
     battery : str
-        Library name of the battery.
+        Name of the battery in the package's library.
     cells_series, cells_parallel : int
         Cells in series, and parallel strings of such cells.
     power_model : PowerModel
@@ -71,8 +75,8 @@ class PackFacts:
 def pack_facts() -> tuple[PackFacts, ...]:
     """Compare energy and power of three battery packs with those that a hover needs.
 
-    The hover lasts as long as the experiment in calm air. The power models are `MOTOR` and
-    `EFFICIENCY`. The result has one entry for each power model and pack.
+    The hover lasts as long as the flight of the paper's experiment in calm air. The power models
+    are `MOTOR` and `EFFICIENCY`. The result has one entry for each power model and pack.
     """
     planner = Planner()
     cases = product((PowerModel.MOTOR, PowerModel.EFFICIENCY), _PACKS)
@@ -119,7 +123,7 @@ class PaperStudy:
     baselines : tuple of BaselineFlight
         Flights of both experiments under the adaptive controller.
     packs : tuple of PackFacts
-        Batteries, compared with hovering.
+        Energy and greatest power of each battery, beside those that a hover needs.
     floors : dict
         Result of `chattering_floors` for each interpretation of the efficiency f_r.
     critical_acceleration, critical_speed : float

@@ -112,8 +112,8 @@ _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 def kilojoules(energy: float, digits: int = 3) -> str:
     """Format an energy [J] as text in kJ, with `digits` decimals.
 
-    Energies of 1 MJ or more have two significant digits. Minus infinity becomes "no minimum", NaN
-    and plus infinity become "n/a".
+    Energies of 1 MJ or more have two significant digits instead, such as "1.2e+03". Minus infinity
+    becomes "no minimum", NaN and plus infinity become "n/a".
     """
     if energy == -float("inf"):
         return "no minimum"
@@ -181,7 +181,8 @@ def find_baseline(
 ) -> BaselineFlight:
     """Return the adaptive controller's flight of an experiment along a reference trajectory.
 
-    If there is no such flight, StopIteration is raised.
+    `model` is the power model with which the energy of the flight was computed. If there is no such
+    flight, StopIteration is raised.
     """
     return next(
         flown

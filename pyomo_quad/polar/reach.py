@@ -136,7 +136,11 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 
 
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
-    """Return the fraction of the usable battery charge that one metre of climb takes [1/m]."""
+    """Return the fraction of the usable battery charge that one metre of climb takes [1/m].
+
+    If the scenario gives no current for climbs, `steady` computes it. The airspeed is then the one
+    of least energy per metre, from `curve`. Without terrain, the result is 0.
+    """
     # Without terrain the flight is level.
     if scenario.airspace.ground is None:
         return 0.0
@@ -202,9 +206,20 @@ def _boundary_on(
 ) -> dict[str, Any]:
     """Return the row of `Reach.boundary` for one course.
 
-    `share` is the fraction of the usable charge per metre [1/m] at each distance `along` the
-    course, infinite if the wind is too strong. `climbed` is the fraction used for climbs up to each
-    distance.
+    Parameters
+    ----------
+    course : float
+        The course [rad].
+    along : ndarray
+        Distances along the course [m]; the next three arrays have a value for each.
+    share : ndarray
+        Fraction of the usable charge per metre [1/m], infinite if the wind is too strong.
+    climbed : ndarray
+        Fraction of the usable charge that the climbs so far take.
+    is_known : ndarray of bool
+        Whether wind and terrain are given at this distance.
+    start : ndarray
+        Start position [m].
     """
     # If the vehicle returns, `share` includes the flight back over the same metre.
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0

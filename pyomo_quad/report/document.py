@@ -37,7 +37,8 @@ class Drawing:
     draw : callable
         Function without arguments that returns the matplotlib Figure.
     needs : tuple of str
-        Columns of the flight's table that the figure requires; `write_study` does not check them.
+        Columns of the flight's table that the figure requires. The caller must leave out figures
+        without their columns, because `write_study`, which draws them, does not check.
     formats : tuple of str
         File endings of the figure.
     """
@@ -58,7 +59,8 @@ class Drawing:
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
     """Return the figures of a report, with the file formats in which they are to be written.
 
-    The result is empty for `Figures.NONE`.
+    `figures` is the user's choice of formats, which becomes `Drawing.formats` of each figure. The
+    result is empty for `Figures.NONE`.
     """
     if figures is Figures.NONE:
         return ()
@@ -78,8 +80,9 @@ def write_study(
 ) -> tuple[Drawing, ...]:
     """Write a report: CSV tables, `summary.json`, figures and the text from a template.
 
-    `folder` must exist. `template` is a path below the package's folder, and ``values`` are its
-    variables. The keys of `tables` are file names. The result lists the figures that were drawn.
+    `folder` must exist, and `name` is the file name of the text. `template` is a path below the
+    package's folder, and ``values`` are its variables. The keys of `tables` are file names. The
+    result lists the figures that were drawn.
     """
     wanted, tables = wanted_drawings(drawings, figures), tables or {}
     with drawn_meanwhile(wanted, folder):

@@ -128,7 +128,8 @@ def _beside(path: FloatArray, off: float) -> FloatArray:
 def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
     """Draw histograms of the energies of an ensemble's flights, each with its median.
 
-    Each item of `savings` adds a histogram of its rival flights, which flew in the same winds.
+    Each item of `savings` compares the ensemble with rival flights in the same winds, such as those
+    of an autopilot. It adds a histogram of the rival flights.
     """
     kinds = [flown, *(saving.rival for saving in savings)]
     figure, ((axes,),) = panel_grid(

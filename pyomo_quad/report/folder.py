@@ -224,10 +224,10 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Rename a complete new output folder from its hidden name to its final path.
+    """Rename a complete output folder from its hidden name ``.NAME.ready`` to `final`.
 
-    An old folder at the final path is first moved out of the way, to `aside`. Raises OutputError if
-    the old folder holds files that no run wrote.
+    An old folder at `final` is first moved to `aside`. `path` is `final` as the user gave it, for
+    messages. Raises OutputError if the old folder holds files that no run wrote.
     """
     ready = _hidden(final, "ready")
     # There is nothing to finish if no run has made a complete folder .NAME.ready for the folder

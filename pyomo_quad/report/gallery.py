@@ -116,8 +116,19 @@ def flight_drawings(
     """List the figures that need only the tables of flights: paths, motion, energy, wind.
 
     A figure is left out if a column is missing or not finite for the plan, the first flight.
-    `hover_energy_J` is for the plan's duration. `blowing` flies in the true wind. The waypoints of
-    `mission` need times of passing (see `Scenario.lasting`).
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        The plan, and flights that are drawn together with it.
+    hover_energy_J : float
+        Energy of hovering for the duration of the plan [J].
+    blowing : StyledFlight, optional
+        If the plan was made for a wind forecast, one of `flights` in the true wind. The figure of
+        the wind shows both winds.
+    mission : Scenario, optional
+        Mission whose zones and waypoints are drawn. Its waypoints need times of passing; see
+        `Scenario.lasting`.
     """
     frame = flights[0].frame
     finite = {name for name in frame if np.isfinite(frame[name]).all()}
@@ -151,9 +162,19 @@ def comparison_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The first flight is the plan, and `hover_energy_J` is for its duration. The result is empty if
-    the plan has no positions. The caller must leave out a figure if a column of `Drawing.needs` is
-    missing.
+    The result is empty if the plan has no positions. The caller must leave out a figure if a column
+    of `Drawing.needs` is missing.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to compare, the plan first.
+    hover_energy_J : float
+        Energy of hovering for the duration of the plan [J].
+    comparison : DataFrame
+        One row for each flight, with its energy and outcome; columns of `ComparisonColumn`.
+    mission : Scenario
+        Mission with zones and waypoints to draw.
     """
     # The table of a user's own Pyomo model may have no positions.
     if not set(_columns(POSITION)) <= set(flights[0].frame):
@@ -273,8 +294,9 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
 def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[str, str], str]:
     """Return the interactive player of a run's flights for the HTML report.
 
-    The first result is the player's HTML, by the name of the figure below it. The second is the
-    flights as JSON. Both are empty if `drawn` lacks the figure of the paths.
+    The first result holds the HTML of the player, by the name of the figure of paths, above which
+    it is shown. The second result is the flights as JSON. Both are empty if `drawn`, the report's
+    figures, lacks the figure of paths.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
@@ -439,7 +461,10 @@ def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence on flights with power peaks cut off; empty if none are."""
+    """Return the caption's sentence on flights with power peaks beyond the figure's vertical axis.
+
+    The sentence names these flights and their ranges of power. It is empty if there are none.
+    """
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [
@@ -453,8 +478,8 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on flights whose energy curve the plan's curve hides.
 
-    `hover_energy_J` is the energy of hovering for the duration of the plan, the first flight.
-    Without such flights the result is empty.
+    The curves show energy above hovering. `hover_energy_J` is the energy of hovering for the
+    duration of the plan, the first flight. Without such flights the result is empty.
     """
     if ENERGY.name not in flights[0].frame:
         return ""

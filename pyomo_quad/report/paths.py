@@ -265,7 +265,8 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
     """Return the least and the greatest x, y and z [m] of a figure of paths, shape (3, 2).
 
-    Paths that leave the figure do not count (see `leaving_paths`).
+    They cover all paths that stay near the plan, the first flight (see `leaving_paths`). With a
+    `mission`, they also cover nearby zones, floor and ceiling.
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])

@@ -287,9 +287,10 @@ class FreeClimb:
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb if it needs more energy than the plan spends above hovering.
+    """Return the mission's climb if its potential energy exceeds the plan's energy above hovering.
 
-    The result is None for any other climb, and if the plan does not allow the comparison.
+    Otherwise the result is None. It is also None if the controls were not simulated or waypoints
+    release mass. The same holds for power models that may include climbing.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)

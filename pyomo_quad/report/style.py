@@ -374,7 +374,7 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
     Returns
     -------
     tuple of StyledFlight
-        The flights with names, tables and line styles for figures.
+        Name, table over time, duration and energy of each flight, with its line style.
     """
     styles = flight_styles(tuple(flight.name for flight in flights))
     return tuple(

@@ -74,8 +74,9 @@ def flight_summary(
 ) -> dict[str, Any]:
     """Summarise one controlled flight as a dictionary for `summary.json`.
 
-    `hover_energy_J` is the energy of hovering for the duration of the mission. `wall_s` holds wall
-    times [s] by phase of the program, except the simulation.
+    `hover_energy_J` is the energy of hovering for the duration of the flight. `arrived` tells
+    whether the flight ends near the goal and nearly at rest. `wall_s` holds wall times [s] by phase
+    of the program. The time of the simulation is added from `flight`.
     """
     return {
         "scenario": scenario.name,

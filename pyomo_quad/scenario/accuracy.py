@@ -37,7 +37,8 @@ class Figures:
     energy : float
         Relative tolerance of the energy.
     miss : float
-        Largest deviation from the goal at the end.
+        Largest deviation of a state x [m, m/s or rad] from the goal at the end, divided by
+        max(abs(x), 1).
     breach : float
         Largest relative violation of a limit.
     turning : float

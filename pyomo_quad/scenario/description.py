@@ -193,10 +193,10 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schemas of a field's alternative notations, by key; empty without any.
+    """Return the JSON Schemas of a field's alternative notations, by their TOML keys.
 
-    A place may be given by latitude and longitude. A wind may be given by the direction from which
-    it blows.
+    `field` is the JSON Schema of the field `name`. Places may be given by latitude and longitude,
+    winds by the direction from which they blow. Other fields give an empty result.
     """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
@@ -293,7 +293,8 @@ def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
     """Return the allowed range of a number in words, followed by the reason for the range.
 
-    The number must be in the plausible range `sound` and within the limits of its JSON Schema.
+    `sound` is the plausible range, with its reason. `option` is the JSON Schema of the number or
+    list of numbers, whose limits may narrow the range.
     """
     number = option.get("items", option)
     low = max(sound["low"], number.get("minimum", -inf), number.get("exclusiveMinimum", -inf))

@@ -144,28 +144,42 @@ def quantity(
     description: str,
     default: object = ...,
     *,
-    # Description of the allowed texts, for a field whose texts must match a pattern.
     allowed: str = "",
-    # Example in TOML, for the message on a missing field.
     example: str = "",
-    # Keys that users may write by mistake, such as `time` for `duration`; a message then names the
-    # field.
     other_names: tuple[str, ...] = (),
     sound: Sound | None = None,
-    # Whether earlier versions of the package lack the field. A stored scenario omits it if the
-    # field has its default.
     is_late: bool = False,
-    # Value of the field if a user's scenario file omits it; None if `default` is this value.
     initial: object = None,
-    # Factor to `unit` from another unit, by the key for that unit.
     unit_keys: Mapping[str, float] | None = None,
     **limits: Any,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
     """Declare a field of a scenario's table, with unit, meaning and allowed values.
 
-    `unit` is a Pyomo unit string: ``"1"`` for a plain number, ``""`` for texts and tables.
-    ``**limits`` are constraints of pydantic, such as ``gt=0``. Without `default` the field is
-    required.
+    Parameters
+    ----------
+    unit : str
+        A Pyomo unit string: ``"1"`` for a plain number, ``""`` for texts and tables.
+    description : str
+        Meaning of the field, in one line.
+    default : object, optional
+        Default of the field; without it the field is required.
+    allowed : str, optional
+        Description of the allowed texts, for a field whose texts must match a pattern.
+    example : str, optional
+        Example in TOML, for the message on a missing field.
+    other_names : tuple of str, optional
+        Keys that users may write by mistake; a message then names the field.
+    sound : Sound, optional
+        Plausible range of a number; numbers outside are refused.
+    is_late : bool, optional
+        Whether earlier versions of the package lack the field. A stored scenario omits such a
+        field if it has its default.
+    initial : object, optional
+        Value that the field gets instead of `default` if a user's scenario file omits it.
+    unit_keys : mapping, optional
+        Keys for other units, such as ``kv_rpm_per_V``, each with its factor to `unit`.
+    **limits
+        Constraints of pydantic, such as ``gt=0``.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
     if sound is not None:

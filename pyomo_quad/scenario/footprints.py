@@ -4,6 +4,9 @@ The model keeps each place of the flight on the outer side of at least one face'
 inside a concave zone would satisfy this condition. A concave polygon is therefore divided into
 convex zones NAME-1, NAME-2 and so on. A concave fence becomes its convex hull. The parts of the
 hull outside the fence become keep-out zones fence-1, fence-2 and so on.
+
+Error messages on a GeoJSON file begin with the text `place`, which names the scenario field and the
+file.
 """
 
 import json
@@ -78,7 +81,7 @@ def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and se
 
 
 def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
-    """Divide a polygon into convex parts, each a list of corners (x, y) in order.
+    """Divide a shapely polygon into convex parts, each a list of corners (x, y) in order.
 
     The method of Hertel and Mehlhorn (1983) gives at most four times the least number of parts. The
     polygon may have holes.
@@ -138,8 +141,8 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     """Read keep-out zones from a GeoJSON file (RFC 7946) in longitude and latitude (WGS 84).
 
     Each zone is a table `airspace.keep_out`, as in a scenario file. A concave polygon gives several
-    zones. Raises ScenarioError, which begins with `place`, if the file is not valid or `origin` is
-    None.
+    zones. `origin` is the position of x = y = z = 0 on earth. Raises ScenarioError, which begins
+    with `place`, if the file is not valid or `origin` is None.
     """
     features = _features(file, place)
     if origin is None:

@@ -1,7 +1,8 @@
 """Reading of data on a rectilinear grid, such as wind or terrain, from NetCDF, CSV or Parquet.
 
 The file may come from an untrusted source. It is therefore read as data only, its size is limited,
-and its content is checked completely before use.
+and its content is checked completely before use. Error messages begin with the text `place`, which
+names the scenario field and the file.
 """
 
 from collections.abc import Mapping
@@ -108,7 +109,7 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 
     NetCDF follows the CF conventions. A table has one row for each grid point. Longitudes and
     latitudes stay in degrees, and missing values are NaN. Raises ScenarioError, which begins with
-    `place`.
+    `place`, if the file is not valid.
     """
     suffix = file.suffix.lower()
     try:
@@ -331,7 +332,8 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 def _rising(field: Gridded, place: str) -> Gridded:
     """Sort gridded data so that all axes ascend; drop axes of height or time with one point.
 
-    Raises a ScenarioError if the axis x or y is missing, or if there are too many values.
+    Raises a ScenarioError if the axis x or y is missing, or if there are too many values. The
+    message begins with `place`.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

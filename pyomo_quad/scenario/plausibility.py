@@ -174,8 +174,8 @@ def _remedy(motor: MotorConstants) -> str:
 class _Hover:
     """Shaft power and ideal power of a vehicle in hover, and texts for messages about them.
 
-    `start` is a text with drag torque coefficient and shaft power. `radius` is a text with the
-    rotor radius and the source of this number.
+    `start` is the beginning of a message, with drag torque coefficient and shaft power. `radius` is
+    a text with rotor radius and source of this number.
     """
 
     start: str

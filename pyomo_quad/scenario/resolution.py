@@ -1,8 +1,13 @@
-"""Completion of a scenario's tables from defaults, library, data files and overrides.
+"""Completion of a scenario's tables from initial values, library, data files and overrides.
 
-The library is the package's collection of vehicles, batteries and winds. Overrides are values that
-replace values of the scenario file. The origin of each value is recorded. TOML documents may come
-from untrusted sources. They are therefore read as data only, and their size and depth are limited.
+A field has its initial value if a user's scenario file omits it, and its default if a stored
+scenario omits it. Both are declared in the Pydantic class of the table (argument `model`). The
+library is the package's collection of vehicles, batteries and winds, the kinds of its entries.
+Overrides are values that replace values of the scenario file.
+
+The origin of each value is recorded, in words, by the dotted path of the field (`provenance`). TOML
+documents may come from untrusted sources. They are therefore read as data only, and their size and
+depth are limited.
 """
 
 import re
@@ -258,10 +263,10 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Make a library entry from the content `written` of its file.
+    """Make a library entry of a kind, such as ``vehicles``, from the content `written` of its file.
 
-    In the file, a number stands alone or in a table with its source. `base` becomes the attribute
-    `base` of the result, and its values are not copied.
+    In the file, a number stands alone or in a table with its source. `base` has the values that a
+    user's file omits; they are not copied.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -408,13 +413,14 @@ class Resolution:
     Attributes
     ----------
     tables : mapping
-        The complete tables.
+        The tables, complete except for `unfilled`.
     provenance : mapping
         Origin of each value, by dotted path.
     complaints : tuple of str
         An error message for each value that could not be determined.
     unfilled : tuple
-        Paths of tables and fields that may be incomplete.
+        Paths of tables and fields that an error may leave incomplete. The validation must not
+        report them a second time.
     """
 
     tables: Mapping[str, Any]
@@ -426,9 +432,9 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    The validation later adds defaults. Raises ScenarioError if an override, a place on earth, a
-    direction `from`, or a file of zones or terrain is not valid. Other errors are in
-    `Resolution.complaints`.
+    `model` is the class of the scenario, which declares initial values. The validation later adds
+    defaults. ScenarioError is raised for an invalid override, place on earth, wind direction (key
+    `from`), or file of zones or terrain. Other errors are in `Resolution.complaints`.
     """
     # Overrides of list items need the complete lists, and are applied later.
     own = _with_assignments(origin, origin.document, indexed=False)
@@ -469,7 +475,11 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the initial values of a scenario's fields as nested tables (see `initial_of`)."""
+    """Return the initial values of a scenario's fields as nested tables.
+
+    The class `model` of the scenario declares them. They are the values of fields that a user's
+    scenario file omits.
+    """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])
@@ -482,7 +492,8 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 def message_origin(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
     """Return the origin of a field's value, as the beginning of a message.
 
-    The origin is the scenario file, a library entry or an option such as ``--set``.
+    The result is the scenario's name in `origin`, a library entry, or an option such as ``--set``.
+    The scenario's name replaces the recorded origin "scenario", or a missing one.
     """
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
@@ -515,7 +526,8 @@ def _with_assignments(
 class _Filled:
     """Tables of a scenario during their completion, with the errors found so far.
 
-    `own` holds only the user's values. `unfilled` lists the paths that an error leaves incomplete.
+    `own` holds only the user's values. `unfilled` lists the paths of tables and fields that an
+    error leaves incomplete.
     """
 
     origin: ScenarioSource
@@ -538,7 +550,9 @@ class _Filled:
     def add_library(self, place: tuple[str, ...], kind: str) -> None:
         """Add the library entry or user's file that the key `use` of a table names.
 
-        Without the key, a default entry is added. The default battery is the vehicle's own pack.
+        `place` is the path of the table, and `kind` that of the entry: ``vehicles``, ``batteries``
+        or ``winds``. Without the key, a default entry is added. The default battery is the
+        vehicle's own pack.
         """
         use = (*place, "use")
         # A stored scenario already contains the values of its library entries. An entry is added
@@ -638,7 +652,9 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from the file that `airspace.terrain` names.
 
-        A missing floor (least height above the ground) becomes the clearance from zones, or 0.
+        A missing field `airspace.floor`, the least height above the ground, becomes
+        `airspace.clearance`, the least distance from keep-out zones. If this field is missing, too,
+        the floor is 0.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
@@ -685,7 +701,10 @@ class _Filled:
                 yield place, wind
 
     def add_wind_fields(self) -> None:
-        """Add the wind fields (wind over places) from `wind.field` and `wind.forecast.field`."""
+        """Add the winds over places from the files named by `wind.field` and `wind.forecast.field`.
+
+        The data become the tables `wind.grid` and `wind.forecast.grid`.
+        """
         for place, wind in self.winds("field"):
             if self.is_recorded(place, "field", "grid"):
                 continue
@@ -697,7 +716,11 @@ class _Filled:
             self.put_read((*place, "grid"), grid, wind["field"])
 
     def add_wind_series(self) -> None:
-        """Add the measured winds over time from `wind.file` and `wind.forecast.file`."""
+        """Add the measured winds from the files named by `wind.file` and `wind.forecast.file`.
+
+        The data become the tables `wind.series` and `wind.forecast.series`. For a free duration
+        without upper limit, `mission.duration_max` becomes the earliest end of a wind.
+        """
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []
         for place, wind in self.winds("file"):

@@ -545,7 +545,8 @@ def _in_declared_units(
 ) -> tuple[ScenarioSource, Rewritten]:
     """Convert values in other units, such as degrees, in tables and overrides to SI units.
 
-    The second result records conversions and errors, without tables.
+    The class `model` of the scenario declares the fields and their units. The second result records
+    conversions and errors; its attribute `tables` is empty.
     """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

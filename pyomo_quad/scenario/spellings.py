@@ -39,8 +39,21 @@ def in_plain_terms(
 ) -> dict[str, Any]:
     """Convert places from latitude and longitude to metres, and `wind.from` to `wind.direction`.
 
-    `own` holds the tables without values of the library. The origins in `provenance` are changed,
-    too. Raises ScenarioError if a value is not valid, or is given in both notations.
+    Parameters
+    ----------
+    tables : dict
+        Tables of the scenario, completed from the package's library (vehicles, batteries, winds).
+    own : mapping
+        The user's own values alone, without those of the library.
+    provenance : dict
+        Origin of each value, by dotted path. It is changed: a converted value keeps its origin.
+    source : str
+        Name of the scenario, with which error messages begin.
+
+    Raises
+    ------
+    ScenarioError
+        If a value is not valid, or the user gives it in both notations.
     """
     found = list(_in_other_notation(tables, ()))
     is_on_earth = any(isinstance(value, Mapping) for _, value in found)

@@ -88,8 +88,9 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     def above(spline: FloatArray) -> FloatArray:
         """Return the Bernstein coefficients [m] of (spline - side * ground) in each grid cell.
 
-        The result has shape (cells along x, cells along y, 4, 4). `spline` holds the B-spline
-        coefficients, shape (len(x), len(y)) [m].
+        `side` is 1 for a surface nowhere below the ground, else -1. `spline` holds the B-spline
+        coefficients, shape (len(x), len(y)) [m]. The result has shape (cells along x, cells along
+        y, 4, 4).
         """
         found = (along_y.cubic @ (along_x.cubic @ spline).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)

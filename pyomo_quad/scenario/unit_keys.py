@@ -53,7 +53,8 @@ def paths_in_declared_units(
     """Convert all overrides whose values are in other units, such as degrees, to SI units.
 
     The last key of a path, such as `roll_max_deg`, states the unit. The first result omits
-    overrides with errors. The second result records conversions and errors, without tables.
+    overrides with errors. The second result records conversions and errors; its attribute `tables`
+    is empty.
     """
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():

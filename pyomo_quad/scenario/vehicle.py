@@ -52,7 +52,8 @@ _LEAST_VOLUME = 1e-6
 def _volume(*rows: Sequence[float]) -> float:
     """Return the Gram determinant of three vectors: the squared volume that they span.
 
-    Near zero, the rotors cannot produce independent moments about all three body axes.
+    The vectors `rows` have one number per rotor, proportional to its moment about one body axis.
+    Near zero, the rotors cannot produce independent moments about all three axes.
     """
     # The vectors hold one number per rotor: its coordinates along body x and body y, relative to
     # the largest arm, and its direction of rotation, 1 or -1. These determine the moments of the

@@ -1,8 +1,11 @@
-"""Tables `wind` and `air` of a scenario: wind velocity, its effect, and air density.
+"""Tables `wind` and `air` of a scenario: wind velocity, its coupling, and air density.
 
-The wind is a formula of time, a measured series, or a field over places. The air density follows
-from height and temperature. The vehicle's aerodynamic coefficients are proportional to the air
-density.
+The wind is a formula of time, a measured series, or a field over places. The coupling is the way in
+which it acts on the vehicle: through the drag, or as an acceleration, as in Yacef et al.
+
+The air density follows from height and temperature. The vehicle's aerodynamic coefficients are
+proportional to the air density. The origin of each value of a scenario, such as "default", is
+recorded by the dotted path of the field (`provenance`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -485,7 +488,8 @@ def with_air_density(
     """Scale the vehicle's aerodynamic coefficients to the air density of the scenario.
 
     `before` is a stored scenario, whose coefficients are valid at its own air density. Without
-    `before`, they are valid at sea level. The origins in `provenance` are changed.
+    `before`, they are valid at sea level. In `provenance`, the origins of scaled coefficients are
+    extended by the density.
     """
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:
@@ -521,7 +525,8 @@ def with_coupling(
     """Set the default of the wind's coupling, the way in which the wind acts on the vehicle.
 
     If the vehicle has drag coefficients, the wind acts through the drag. Otherwise the wind is an
-    acceleration, as in eq. (9) of Yacef et al. `own` excludes values of the library.
+    acceleration, as in eq. (9) of Yacef et al. A forecast without a coupling in the user's own
+    values, `own`, gets that of the wind. Origins are added to `provenance`.
     """
     wind = tables.get("wind")
     if not isinstance(wind, Mapping):

@@ -1,4 +1,7 @@
-"""Reading of measured winds over time, height or both from CSV files."""
+"""Reading of measured winds over time, height or both from CSV files.
+
+Error messages begin with the text `place`, which names the scenario field and the file.
+"""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -32,9 +35,24 @@ def read_wind_file(
 ) -> dict[str, tuple[float, ...]]:
     """Read and check a measured wind over time, height or both, from a CSV file.
 
-    The result holds the fields of `wind.series`. `longest` is path and value [s] of the field that
-    limits the duration. `time_offset` [s] is the file's time at the mission's start. Raises
-    ScenarioError, which begins with `where`, if the wind is not valid.
+    The result holds the fields of `wind.series`.
+
+    Parameters
+    ----------
+    file : Path
+        The CSV file.
+    where : str
+        Beginning of error messages: the scenario field that names the file.
+    longest : tuple of str and object
+        Dotted path and value [s] of the field that limits the mission's duration. The wind must
+        cover this duration.
+    time_offset : object
+        Time in the file [s] at which the mission starts.
+
+    Raises
+    ------
+    ScenarioError
+        If the wind is not valid.
     """
     place = f"{where} = {shown(file.name)}"
     keys, rows = _read_rows(file, place)
@@ -100,8 +118,9 @@ def check_cover(
 ) -> None:
     """Raise a ScenarioError if a measured wind does not cover the whole mission.
 
-    `times` and `start` are times in the measured wind [s]. `field` is the path of the field that
-    limits the duration. The message begins with `place`.
+    The measurement has the `times`, and the mission lasts from the time `start` to `start` +
+    `duration` [s]. The message begins with `place`. It names `field`, the path of the field that
+    limits the duration.
     """
     if times[0] > start or times[-1] - start < duration:
         refuse(
@@ -112,9 +131,10 @@ def check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Read a CSV file of measured wind: names of the columns before the wind, and all rows.
+    """Read a CSV file of measured wind: names of its first columns, and all rows.
 
-    Raises a ScenarioError, which begins with `place`, if the file is not valid.
+    The first columns are time, height or both; those of the wind follow. Raises a ScenarioError,
+    which begins with `place`, if the file is not valid.
     """
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:

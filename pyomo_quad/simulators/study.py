@@ -184,8 +184,8 @@ class OutsideStudy:
     ) -> dict[str, Any]:
         """Return the table row of one flight of the study, by column name.
 
-        `case` is a key of `CASES` or a parameter set of RotorPy. A flight that went out of control
-        has no energy. IndexError is raised if there is no such flight.
+        `case` is a key of `CASES` or a parameter set of RotorPy. If the flight went out of control,
+        its energy is NaN. IndexError is raised if there is no such flight.
         """
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
@@ -284,7 +284,8 @@ class _Mission:
     ) -> Flown:
         """Describe a flight in RotorPy under a given controller, to be simulated later.
 
-        `at` is the name of the vehicle `plant` in the result table.
+        `plant` is the simulated vehicle, and `at` its name in the result table. `followed` is the
+        reference trajectory.
         """
         return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
 
@@ -299,8 +300,9 @@ class _Mission:
     ) -> Flown:
         """Describe a flight in RotorPy under a variant of its controller SE3, for later simulation.
 
-        `name` is the variant's name in the result table. `stiffness` is a factor on the gains of
-        the controller.
+        `plant` is the simulated vehicle. The controller follows `path`, and `stiffness` is a factor
+        on its gains. The result table names vehicle, variant and reference by `at`, `name` and
+        `followed`.
         """
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
@@ -384,7 +386,7 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield descriptions of flights whose commanded position jumps from start to goal.
+    """Yield flights, to be simulated later, whose commanded position jumps from start to goal.
 
     The vehicle `limited` has the scenario's limit on the rotor acceleration. The flights without
     this limit show its effect.
@@ -397,9 +399,9 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 
 
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
-    """Yield descriptions of flights that show why RotorPy's controller SE3 misses the goal in wind.
+    """Yield flights, to be simulated later, that show why controller SE3 misses the goal in wind.
 
-    The controller has larger gains, or a feedforward of the aerodynamic force.
+    RotorPy's controller SE3 then has larger gains, or a feedforward of the aerodynamic force.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -432,7 +434,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield descriptions of flights of one of RotorPy's vehicles, in both simulation models.
+    """Yield flights of one of RotorPy's vehicles, to be simulated later in both simulation models.
 
     All flights follow the plan of `mission`, a mission of the vehicle.
     """
@@ -458,7 +460,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 
 
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
-    """Yield descriptions of flights that show the effect of the point at which drag acts.
+    """Yield flights, to be simulated later, that show the effect of the point at which drag acts.
 
     In RotorPy drag acts at the rotors, in the declared vehicle at the centre of mass.
     """
@@ -478,8 +480,8 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights; yield each flight's table row, its description, and the flight itself.
 
-    The flight is None if it went out of control. Each flight is compared with the declared
-    vehicle's along the same reference, which must precede it in `flights`.
+    `case` names the mission in the rows. A flight that went out of control is None. Each flight is
+    compared with the declared vehicle's along the same reference, which comes first.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:

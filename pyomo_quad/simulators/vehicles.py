@@ -85,8 +85,8 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 def vehicle_file(name: str) -> str:
     """Return the text of a vehicle file (TOML), made from a parameter set of RotorPy.
 
-    Each number has its source. `name` is "hummingbird" or "crazyflie". ScenarioError is raised for
-    any other name, or if RotorPy is not installed.
+    Each number is in a table with the keys `value` and `source`. `name` is "hummingbird" or
+    "crazyflie". ScenarioError is raised for any other name, or if RotorPy is not installed.
     """
     lines = [
         f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",

@@ -57,9 +57,10 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The rows have the columns `AimColumn`, the plan of least energy first. The table is empty if
-    no comparison applies, or if the solve for the other objective fails, is stopped, or ends at a
-    worse plan.
+    The rows have the columns `AimColumn`, the plan of least energy first. The table is empty if the
+    solve for the other objective fails, is stopped, or ends at a worse plan. It is also empty if
+    `plan` is not verified by simulation, or has a third objective, such as least time. The same
+    holds for a user's own vehicle model, and for the attitude equations of Yacef et al.
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER

@@ -7,6 +7,10 @@ along the legs.
 A plan's energy saving is measured against an autopilot. For a fair comparison, the settings are
 tuned for least energy by Nelder and Mead's method. In the search, a flight that breaks a limit of
 the vehicle or misses the goal is penalised.
+
+A flight ends near the goal, not exactly at the goal state. The costates of a plan give an estimate
+of the energy between the two states. The tuning adds it to the energy of the flight, or leaves it
+out if there is no plan (None). The planner provides the vehicle's equations for the simulation.
 """
 
 from dataclasses import dataclass, replace
@@ -86,9 +90,11 @@ class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
     The flight is simulated at reduced accuracy. `reached` holds values of the reference trajectory.
-    If the vehicle does not arrive, `duration_s` is the whole simulated time. `energy_J` then leaves
-    out the energy from the end of the flight to the exact goal state. The same holds without a
-    plan, or if the wind has a forecast.
+    If the vehicle does not arrive, `duration_s` is the whole simulated time.
+
+    In three cases `energy_J` leaves out the energy from the end of the flight to the exact goal
+    state: the vehicle does not arrive, the search had no plan, or the plan was made for a wind
+    forecast.
     """
 
     settings: CruiseSettings
@@ -133,8 +139,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, in the actual wind.
 
-    After the reference trajectory, the vehicle waits at the goal until arrival, for at most
-    `SETTLINGS_S[-1]` seconds. ScenarioError is raised if zones block the route or all places are
+    At the end of the reference trajectory, the vehicle may be too far from the goal or too fast. It
+    then waits at the goal for at most `SETTLINGS_S[-1]` seconds. With a plan, the flight begins in
+    the plan's initial state. ScenarioError is raised if zones block the route or all places are
     equal, SolveError if the flight gets out of control.
     """
     longest, dynamics = _with_longest_wait(scenario, settings, planner)
@@ -189,8 +196,9 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
     """Tune an autopilot for least energy, and fly the result.
 
-    ScenarioError is raised as in `fly_cruise`, and if no flight with one of the four best settings
-    arrives within the limits. SolveError is raised if one of these flights gets out of control.
+    With a `plan`, energies include the estimated energy from the end of a flight to the exact goal
+    state. The errors are those of `fly_cruise`. ScenarioError is also raised if no flight with one
+    of the four best settings arrives within the limits.
     """
     tried = _search(scenario, plan, planner)
     # The search simulates at reduced accuracy. Its best settings are flown at full accuracy, and
@@ -210,7 +218,11 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 
 
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
-    """Return all settings, in order, that Nelder and Mead's search for least energy tried."""
+    """Return all settings, in order, that Nelder and Mead's search for least energy tried.
+
+    With a `plan`, the energy of a flight includes the estimated energy from its end to the exact
+    goal state.
+    """
     fly = partial(_tried, scenario, plan=plan, planner=planner)
     tried: dict[tuple[float, ...], TriedCruise] = {}
     bounds = np.log(_RANGES)

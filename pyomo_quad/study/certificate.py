@@ -1,5 +1,9 @@
 """A lower bound on the energy of every flight that meets a mission's boundary conditions.
 
+A leg is the flight from one waypoint to the next. A pair is a combination of thrust and airspeed.
+The argument `planner` compiles the equations of a scenario and keeps them for later calls; it
+plans no flight here.
+
 Derivation, proof and variants: see docs/theory/bound.md, eqs. (1) to (11).
 """
 
@@ -43,8 +47,16 @@ class ThrustMoments:
     """Two weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
 
     See docs/theory/bound.md, eqs. (2) and (4). The weights are 1 and (k(t) - mean of k) / duration,
-    with k(t) of eq. (3). The drag must be linear in the velocity. `displacement` is the vector from
-    start to goal, m; `duration` is in s.
+    with k(t) of eq. (3).
+
+    Parameters
+    ----------
+    demand : MomentumDemand
+        Thrust that a motion of the vehicle requires. The drag must be linear in the velocity.
+    displacement : ndarray, shape (3,)
+        Vector from start to goal, m.
+    duration : float
+        Duration of the flight, s.
 
     Attributes
     ----------
@@ -129,10 +141,10 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of the two integrals of the thrust at n times, each of shape (n, 3).
+    """Return the weights of the thrust in both integrals of `ThrustMoments`, each of shape (n, 3).
 
-    They are 1 and k(t) [s] from docs/theory/bound.md, eq. (3), before `ThrustMoments` centres and
-    scales k(t). `rate` is the drag coefficient over mass [1/s].
+    For every axis, they are 1 and k(t) [s] from docs/theory/bound.md, eq. (3), at n times.
+    `ThrustMoments` then centres and scales k(t). `rate` is drag coefficient over mass [1/s].
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     # An increase of the velocity by dv at the time t shifts the final position by k(t) dv.
@@ -144,10 +156,11 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the integrals, weighted by `_weights`, of the thrust that keeps the vehicle at rest.
+    """Integrate the thrust that holds the vehicle at rest over a flight, with both weights.
 
-    They are the terms with S in docs/theory/bound.md, eqs. (2) [N s] and (4) [N s^2]. `rate` is the
-    drag coefficient over mass [1/s].
+    `_weights` gives the weights. The results, shape (3,), are the terms with S in
+    docs/theory/bound.md, eqs. (2) [N s] and (4) [N s^2]. `rate` is drag coefficient over mass
+    [1/s].
     """
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
@@ -232,7 +245,8 @@ class Certificate:
 def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificate:
     """Return a lower bound on the energy of every flight of a mission in the actual wind.
 
-    If no bound is known, the result holds the reason.
+    If no bound is known, the result holds the reason. `planner` supplies the compiled equations of
+    the scenario; by default, a new planner compiles them.
     """
     planner = planner or Planner()
     hover_energy = planner.steady_flight(scenario).hover_power * scenario.nominal_duration
@@ -290,10 +304,10 @@ def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
 def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, why_not_by_legs: str
 ) -> _Found:
-    """Return a lower bound on the energy of flights of fixed duration, without the waypoints.
+    """Return a lower bound on the energy that ignores the waypoints, and its basis in words.
 
-    `why_not_by_legs` ends the sentence which says why waypoints are left out, or why a free
-    duration or a changing mass has no bound.
+    The bound [J] is None for a free duration or a changing mass. `why_not_by_legs`, such as "with
+    drag", ends the returned sentence on these cases, or on ignored waypoints.
     """
     mission = scenario.mission
     if mission.released > 0.0:
@@ -320,9 +334,10 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Return a lower bound on the energy of flights through the waypoints, for all allowed times.
+    """Return a lower bound on the energy of flights through the waypoints, and its basis in words.
 
-    Power and drag must not depend on the airspeed.
+    The bound [J] holds for all durations that the mission allows, and all passing times at the
+    waypoints. Power and drag must not depend on the airspeed.
     """
     mission = scenario.mission
     standing = demand.thrust(0.0)
@@ -366,7 +381,11 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Return a lower bound on the energy of flights if power or drag depends on the airspeed."""
+    """Return a lower bound on the energy from all pairs of thrust and airspeed, with its basis.
+
+    Without a bound [J], return None and the reason. `_bound` calls this function if power or drag
+    depends on the airspeed. `demand` gives the thrust of a motion.
+    """
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
         return (
@@ -417,8 +436,8 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
     """Return the sentence that explains the basis of the bound from `_bound_by_pairs`.
 
-    `counted` is the mission of the bound: a copy of `scenario` without waypoints if their order is
-    free. `of_field` says which winds the bound includes.
+    `counted` has the mission of the bound: a copy of `scenario` without waypoints if their order is
+    free. `legs` is the number of its legs. `of_field` says which winds the bound includes.
     """
     of_legs = f" on each of {legs} legs" if counted.mission.waypoints else ""
     left_out = (
@@ -441,10 +460,10 @@ def _bound_of_places(
     winds: FloatArray,
     power: float,
 ) -> float:
-    """Return a lower bound on the energy of any flight through a wind field [J].
+    """Return a lower bound on the energy of flights through a wind field [J], or minus infinity.
 
-    `_has_places` must be true for the mission. `pairs_in`, `winds` and `power` are those of
-    `bound_by_places`. The result is minus infinity if no bound was found.
+    Call it only if `_has_places` returns True. The corners `winds` enclose all winds; `pairs_in`
+    makes the `Pairs` for such corners. `power` is that of hover [W].
     """
     mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
     ends = np.array([mission.start.position, mission.goal.position])
@@ -457,8 +476,9 @@ def _has_places(
 ) -> bool:
     """Return whether the function `_bound_of_places` can bound the energy of a mission.
 
-    It needs a single leg between exact points, horizontal winds that differ, `wind.beyond` other
-    than "hold", and a vertical thrust `standing`.
+    It needs one leg without position tolerance at its ends, and `wind.beyond` other than "hold".
+    The thrust `standing` for zero airspeed must be vertical. The `winds` must be horizontal and
+    unequal.
     """
     return (
         scenario.wind.beyond is not Beyond.HOLD
@@ -512,7 +532,8 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
     """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    It is never below the bound of Jensen's inequality. See docs/theory/bound.md, eqs. (8) and (9).
+    It is never below the bound of Jensen's inequality: docs/theory/bound.md, eqs. (8) and (9). The
+    search stops if it exceeds `ceiling`, the energy of a flight at full power [J].
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
@@ -545,8 +566,9 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust [N] and total power [W] of the vehicle with all rotors at one constant speed.
 
-    Both are sampled from polynomials of the rotor speed that are fitted to the model. If the model
-    itself is polynomial (`is_polynomial`), the samples are exact to rounding.
+    Polynomials of the rotor speed are fitted to the model. The methods use their values at several
+    thousand speeds between the limits. If the model itself is polynomial (`is_polynomial`), the
+    values are exact to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
@@ -599,9 +621,10 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return samples of the power, lowered so that their polygon nowhere exceeds the power [W].
+    """Lower samples of the power so that lines between them stay below the true curve [W].
 
-    See docs/theory/bound.md, eq. (10). `thrust` [N] is increasing.
+    A sample above the line through the previous two is lowered to it (docs/theory/bound.md, eq.
+    (10)). Near each sample, the curve is assumed convex or concave. `thrust` [N] is increasing.
     """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.

@@ -1,4 +1,8 @@
-"""Checks of a mission before the solve, and cautions about a plan after the solve."""
+"""Checks of a mission before the solve, and cautions about a plan after the solve.
+
+The argument `planner` supplies a scenario's model and its compiled equations, and keeps them for
+later calls. It plans no flight here.
+"""
 
 from collections.abc import Iterator
 from math import atan2, hypot, inf, pi, radians, sin
@@ -37,8 +41,8 @@ def _caution(subject: str, message: str) -> Finding:
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield findings on a battery with too little charge or power for a mission of fixed duration.
 
-    A finding is "impossible" if the initial charge or the lower energy bound proves that every
-    flight breaks a limit. Otherwise it is a caution.
+    A finding is "impossible" if every flight provably breaks a limit. The proof is the initial
+    charge, or the lower bound on the mission's energy from `certify`. Other findings are cautions.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     # Only a caution: the battery's equations stay finite for an empty battery.
@@ -297,8 +301,8 @@ def _too_short(
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
     """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
 
-    The mission's own duration is known to be too short. The result is infinite if no duration tried
-    is long enough.
+    `demand` gives the thrust of a motion. The mission's own duration must be too short. If no
+    longer duration tried suffices, or in measured wind, the result is infinite.
     """
     # After the end of the mission, a measured wind is unknown: no longer duration can be tried.
     if scenario.wind.series is not None:
@@ -377,7 +381,8 @@ def check_mission(
     """Return findings on impossible or doubtful settings of a mission, without a solve.
 
     Findings which prove that no flight exists come first. Even without findings, the mission may be
-    impossible. The wind is the forecast, if there is one. `builder` counts only without `planner`.
+    impossible. The wind is the forecast, if there is one. By default, a new planner makes the model
+    with `builder`. If `planner` is given, `builder` is ignored.
     """
     told = scenario.as_forecast()
     findings = [*_contradictions(scenario), *_angles_in_degrees(scenario)]
@@ -490,9 +495,11 @@ _EFFICIENCY = "power.efficiency_polynomial"
 
 
 def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
-    """Return cautions about a plan, one line each: on its mission, its solve and its models.
+    """Return cautions about a plan, one line each: on its mission, its solve and its flight.
 
-    The solve of the plan may have failed.
+    Those on the flight concern the efficiency map, the simplified attitude equations, and tilts
+    beyond the controller's limit. The solve of the plan may have failed. By default, a new planner
+    compiles the equations.
     """
     has_flown = plan.verification is not None
     findings = check_mission(plan.mission_flown if has_flown else plan.scenario, planner=planner)

@@ -144,7 +144,8 @@ def compare_flights(
     """Compare the flights of one mission in a table of the columns `ComparisonColumn`.
 
     `scenario` is the plan's `mission_flown`, and `hover_energy_J` the energy of hovering for its
-    duration. The plan's flight has the name "optimal". Undefined values are NaN. If the scenario
+    duration. `certificate` holds the lower bound on the mission's energy, for the columns of bound
+    and gap. The plan's flight has the name "optimal". Undefined values are NaN. If the scenario
     sets `limits.reserve`, the column `RESERVE` is added.
     """
     # With a forecast, the plan was made for the forecast wind, but bound and other flights are of
@@ -359,7 +360,9 @@ def is_comparable(flight: Flight) -> bool:
 def settled_energy(flight: Flight) -> float:
     """Return the energy of a flight, plus its owed energy to the exact goal state [J].
 
-    The owed energy is left out if it is unknown, or if the flight has not arrived.
+    The owed energy is the estimated energy from the flight's final state to the goal state. It is
+    left out if it is unknown (NaN). It is also left out if the flight ends too far from the goal or
+    too fast (`has_arrived`).
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)

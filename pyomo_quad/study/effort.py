@@ -1,4 +1,7 @@
-"""Estimate of the processor time that planning a mission takes, and of each feature's part in it.
+"""Estimate of the processor time that planning a mission takes, and of what makes it long.
+
+Features of the mission that cost time are, for example, waypoints, keep-out zones and wind fields.
+The estimate states how much time planning without each of them would save.
 
 Ipopt's iterations take most of the time. The time of an iteration is proportional to the number of
 unknowns: variables per collocation point times points of the mesh. The solve may be repeated for

@@ -242,8 +242,10 @@ def fly_cruise_often(
 ) -> Ensemble:
     """Simulate many flights of an autopilot, straight between waypoints, in random winds.
 
-    With the same seed, the winds are those of `fly_plan_often`. All flights wait at the goal for
-    the shortest time with which the share `arriving` arrives. `least_s` is their least duration.
+    With the same seed, the winds are those of `fly_plan_often`. Every flight ends with the same
+    wait at the goal. It is the shortest wait with which the share `arriving` of the flights ends at
+    the goal and at rest. If no wait tried suffices, it is the one with most arrivals. Each flight
+    lasts at least `least_s`.
     """
     named = name or baseline_name(Reference.CRUISE, settings.speed)
 
@@ -399,8 +401,9 @@ def fly_in_turbulence(
 ) -> InTurbulence | None:
     """Simulate the flights of a plan, and of an autopilot, in the same random winds.
 
-    If `cruise` is None, no autopilot is simulated. The result is None if the scenario has no
-    turbulence, or if the plan must not be flown (`Plan.is_flyable`).
+    If `cruise` is None, no autopilot is simulated. `is_tuned` says whether `cruise` has settings
+    that were tuned for least energy; it only affects names. The result is None if the scenario has
+    no turbulence, or if the plan must not be flown (`Plan.is_flyable`).
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:

@@ -77,10 +77,10 @@ def energy_time_front(
 
 
 def is_optimum(found: Plan) -> bool:
-    """Return whether a plan is a converged solution that simulation confirms at some accuracy.
+    """Return whether a plan is a converged solution whose controls could be simulated.
 
-    A search that fails may end with a usable plan, such as one along straight lines, which is not
-    optimal.
+    The simulated flight may deviate from the plan. A search that fails may end with a usable plan,
+    such as one along straight lines, which is not optimal.
     """
     solution = found.solution
     return found.verification is not None and solution is not None and solution.status.is_solved

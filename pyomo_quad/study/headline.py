@@ -42,9 +42,11 @@ class Headline:
     settings : CruiseSettings or None
         Settings of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
-        The plan's risk with its test flights; None without `mission.risk`.
+        Margins for the allowed risk of a broken limit, and results of simulated flights in
+        turbulence that tested them; None without `mission.risk`.
     often : InTurbulence or None
-        Many flights in turbulence. If given, the headline uses them, not the test flights.
+        Flights in turbulence along the plan, and of an autopilot. If given, the headline states
+        their success, not that of the flights in `risk`.
     is_compared : bool
         Whether the plan arrives and keeps all limits, so that flights can be compared with it.
     """
@@ -170,9 +172,10 @@ def headline_of(result: "RunResult") -> Headline | None:
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row in `comparison`.
 
-    A flight other than "optimal" and "open_loop/plan" qualifies if its row has a saving. The tuned
-    autopilot is preferred, then the flight along the quintic path, then that of least energy. If
-    none qualifies, the result is None.
+    `comparison` is the table of `compare_flights`. A flight other than "optimal" and
+    "open_loop/plan" qualifies if the saving in its row is not NaN. The tuned autopilot is
+    preferred. The flight under the controller along a smooth straight path ("adaptive/quintic") is
+    second, that of least energy third. If none qualifies, the result is None.
     """
     # The flight of the plan, and the simulation of its rotor commands without feedback.
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))

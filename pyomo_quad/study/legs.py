@@ -1,8 +1,10 @@
 """Lower bound on the energy of a flight through waypoints, by Lagrange duality.
 
-A leg is the flight from one waypoint to the next. A passage is the instant at a waypoint. A price
-is the Lagrange multiplier of a condition that every flight of the mission meets. The price of
-momentum belongs to the momentum balance, the price of time to the limit on the duration.
+A leg is the flight from one waypoint to the next. Waypoints with a given passing time divide the
+legs into groups; the sum of the durations of a group's legs is fixed or limited. A passage is the
+instant at a waypoint. A price is the Lagrange multiplier of a condition that every flight of the
+mission meets. The price of momentum belongs to the momentum balance, the price of time to the limit
+on the duration.
 Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
@@ -74,7 +76,7 @@ class Leg:
     slack : float
         Sum of the allowed distances of both ends from their nominal places, m.
     mass : float
-        Fraction of the mass at the start.
+        Mass on the leg, as a fraction of the mass at the start of the flight.
     group : int
         Index of the group of legs whose total duration is fixed or limited.
     end_speed : float
@@ -92,8 +94,7 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs of a mission, and the least and greatest duration of each group of legs [s].
 
     Waypoints with a given passing time divide the legs into groups. Each hover is a leg and a group
-    of its own.
-    The waypoints keep the scenario's order, even if it is open.
+    of its own. The waypoints keep the order of the scenario, even if the planner may choose it.
     """
     mission, mass, hovering = scenario.mission, 1.0, HOVERING_M_PER_S
     displacements = np.diff(np.array(mission.positions), axis=0)
@@ -135,7 +136,7 @@ class Itinerary:
     Parameters
     ----------
     legs, shared : sequence
-        Legs, and limits on the durations of their groups, from `legs_of`.
+        Legs, and for each group of legs the least and greatest total duration [s], from `legs_of`.
     standing : ndarray, shape (3,)
         Thrust that holds the vehicle still at the start, N.
     mass : float
@@ -265,10 +266,11 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Minimise the sum of A_k / T_k + G_k T_k over one group; return minimum [J] and T_k [s].
+    """Return the least sum of A_k / T_k + G_k T_k over a group of legs [J], and the T_k [s].
 
-    The sum of the T_k is between `least` and `greatest` [s]. If an A_k is negative, the minimum is
-    minus infinity, except for one leg of fixed duration: docs/theory/bound.md, eq. (13).
+    `gained` holds the A_k, `spent` the G_k. The sum of the T_k is between `least` and `greatest`
+    [s]. If an A_k is negative, the minimum is minus infinity, except for one leg of fixed duration:
+    docs/theory/bound.md, eq. (13).
     """
     if least == greatest and gained.size == 1:
         return float(gained[0] / least + spent[0] * least), np.array([least])

@@ -124,12 +124,14 @@ class Pairs:
     The coordinates of a pair are rotor speed, airspeed along the thrust and airspeed across the
     thrust. With the power model `momentum`, the induced velocity replaces the rotor speed. The
     module docstring defines H. Some methods use H without `_constant`, its terms that are equal for
-    all pairs.
+    all pairs. Their argument `numbers` has the four numbers that the method `numbers` computes from
+    prices.
 
     The limits of `scenario` on rotor speed and vehicle speed, and the thrust `most_thrust` [N] of
     all rotors, bound the pairs. `winds` [m/s], shape (n_winds, 3), are the corners of a polyhedron
-    of all winds of the mission. By default, the wind is the steady wind of `dynamics`; if `winds`
-    is given, `dynamics` is that of still air.
+    of all winds of the mission. `dynamics` has the compiled equations of the vehicle. By default,
+    the wind is the steady wind in these equations. If `winds` is given, they are those of still
+    air.
 
     Attributes
     ----------
@@ -185,8 +187,9 @@ class Pairs:
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
         """Return rotor speed, thrust, power, `excess` and `margin` of a pair as CasADi expressions.
 
-        The power [W] is that of equal rotor speeds. If `margin` is negative, unequal speeds of the
-        same thrust take at most `excess` [W] less: docs/theory/bound.md, eq. (17).
+        The power [W] is that of equal rotor speeds, the least power unless `margin` is negative.
+        Then unequal speeds of the same thrust take at most `excess` less: docs/theory/bound.md, eq.
+        (17).
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -221,11 +224,11 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Return H and its parts at n pairs of thrust and airspeed, shape (8, n).
+        """Return H and its parts at n pairs, shape (8, n), in SI units.
 
-        The rows are H [W] without `_constant`, thrust [N], rotor speed [rad/s], margin, air force
-        across and along the thrust [N], power [W], excess [W]. `_of_rotors` explains margin and
-        excess.
+        The rows are H without `_constant`, thrust, rotor speed, margin, air force across and along
+        the thrust, power, excess. `_of_rotors` explains margin and excess. With the default
+        `numbers`, H is the power.
         """
         # With the default `numbers`, H is the power.
         found = self._enclosure.at(points, (*numbers, 1.0))
@@ -291,10 +294,13 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.displacement @ wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Return the least sampled H over all pairs and winds [W], and rows for `_Program`.
+        """Return the least H that a search over samples finds [W], and rows for `_Program`.
 
-        The true minimum may be lower. A row, shape (8,), has the power [W] of a pair of low H, then
-        derivatives of H by the prices of momentum [N], displacement [m/s] and kinetic energy [W].
+        The search covers all winds; the true minimum may be lower. The rows belong to the pairs at
+        the lowest local minima of H. `_Program` makes a constraint of each row. A row, shape (8,),
+        has the power [W] of the pair. Then follow the derivatives of H by the prices of momentum
+        [N], displacement [m/s] and kinetic energy [W]. `mass` is that on the leg, as a fraction of
+        the mass at the start.
         """
         minima = []
         for wind in self._winds:
@@ -380,9 +386,11 @@ class Pairs:
     def _rows(
         self, at: FloatArray, prices: MotionPrices, mass: float, wind: FloatArray
     ) -> list[FloatArray]:
-        """Return power and derivatives of H for a pair, and for its copies, as in `cheapest`.
+        """Return the rows of `cheapest` for the pair with the coordinates `at`.
 
-        The pair has the orientation with the least H. `prices` come from `_in_wind`.
+        A row has power and derivatives of H by the prices, at the orientation with the least H. If
+        `standing` is vertical, seven rows follow for the pair turned about the vertical. `prices`
+        come from `_in_wind`.
         """
         momentum, displacement = (
             prices.momentum,
@@ -425,8 +433,9 @@ class Pairs:
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
         """Return proven lower bounds on H without `_constant` for each column of `numbers` [W].
 
-        The search starts from `sampled`, values of H at some pairs. If the search ends early, the
-        bounds are looser than `tolerance`.
+        `numbers`, shape (4, n), has a column per set of prices. `sampled`, shape (n,), has H at
+        some pair, without `_constant`. If the search ends early, bounds are looser than
+        `tolerance`.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -455,10 +464,10 @@ class Pairs:
     def _not_excluded(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, enough: FloatArray
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which boxes may contain a permitted pair with H below `enough`.
+        """Return which of n boxes may contain a permitted pair with H below `enough`.
 
-        H is without `_constant`. The second result says for these boxes whether equal rotor thrusts
-        are proven to take the least power.
+        H is without `_constant`. `numbers` has a column, `enough` an item, per box. For boxes with
+        such a pair, also return whether equal rotor speeds provably take least power.
         """
         # Without the slopes that `_box` bounds, the enclosure is much faster.
         given = np.vstack([numbers, np.zeros(low.shape[1])])
@@ -477,10 +486,11 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, is_alike: NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
-        """Return for n boxes a lower bound on H, H at one pair, and the coordinate to halve.
+        """Return for n boxes a lower bound on H, H at a pair inside, and the coordinate to halve.
 
-        H [W] is without `_constant`; at a pair with too much thrust it is infinite. Implements
-        docs/theory/bound.md, eq. (18).
+        `numbers` has a column for each box; `is_alike` comes from `_not_excluded`. H is without
+        `_constant`; for too much thrust, the second is infinite. Implements docs/theory/bound.md,
+        eq. (18).
         """
         given = np.vstack([numbers, is_alike])
         (under, _), slopes = self._enclosure.over(low, high, given)
@@ -532,7 +542,8 @@ def bound_of_pairs(
     """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
     Implements docs/theory/bound.md, eq. (19). Tolerances are fractions of `power`, the power of
-    hover [W]. `legs_of` gives `legs` and `shared`.
+    hover [W]. `shared` has the least and greatest total duration of each group of legs [s]; the
+    attribute `group` of a leg is an index of it. `legs_of` gives `legs` and `shared`.
     """
     prices, program = prices_of_pairs(pairs, legs, shared, power)
     tolerance = POWER_TOLERANCE * power
@@ -547,7 +558,9 @@ def prices_of_pairs(
     """Search for the prices that give the largest lower bound on a flight's energy.
 
     Return the best prices on each leg, and the linear program, which computes the bound from proven
-    values of H. Tolerances are fractions of `power`, the power of hover [W].
+    values of H. Tolerances are fractions of `power`, the power of hover [W]. `shared` has the least
+    and greatest total duration of each group of legs [s]; the attribute `group` of a leg is an
+    index of it.
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)
@@ -579,6 +592,8 @@ class _Program:
     """Linear program for the prices that maximise the lower bound on a flight's energy.
 
     Each pair known so far gives one constraint: the least H of a leg is at most H at the pair.
+    `shared` has the least and greatest total duration of each group of legs [s]. `power` is that of
+    hover [W], and `standing` the thrust that holds the vehicle still at zero airspeed [N].
     """
 
     def __init__(

@@ -13,7 +13,7 @@ f, s | force of the air, and thrust that holds the vehicle still at zero airspee
 P | power of the vehicle, a function of u and v
 phi(x, y) | potential: linear in each of two triangles of a cell of the field's grid [J]
 q | gradient of the potential, and as third component the price of vertical displacement [N]
-o, eta | price of momentum [W/N] in still air, and of kinetic energy, equal at all places
+o, eta | prices of momentum in still air [W/N] and of kinetic energy; both equal at all places
 W | wind
 a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
@@ -27,8 +27,8 @@ G is a concave function of a and q together. Therefore
 
 - linear interpolation between proven values of G gives lower bounds on G;
 - the allowed gradients in a wind form a convex set, which an inscribed polygon represents;
-- a gradient that is allowed at the corners of the rectangle of a cell's winds is allowed in all
-  winds of the cell.
+- in each cell, limits on the two wind components form a rectangle of winds: a gradient that is
+  allowed at its four corners is allowed in all winds of the cell.
 
 The largest rise of a potential with allowed gradients is the optimal value of a linear program.
 """
@@ -285,8 +285,9 @@ class Places:
     def rise(self, gradients: FloatArray) -> float:
         """Return the largest rise of a potential from start to goal [J]; 0 if the solver fails.
 
-        `gradients`, shape (4 * n_cells, n, 2), are polygons [N] for the winds in `corners`. In each
-        cell, the gradient lies inside all four. Implements docs/theory/bound.md, eq. (27).
+        `gradients`, shape (4 * n_cells, n, 2), are polygons of n vertices [N], one for each wind in
+        the attribute `corners`. In each cell, the gradient lies inside the polygons of all four
+        winds. Implements docs/theory/bound.md, eq. (27).
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -369,9 +370,10 @@ class _Search:
         return self._places.rise(gradients) + prices.climb * self._places.climb + spent
 
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
-        """Return prices with the price of time that gives the largest approximate lower bound.
+        """Return `prices` with the best price of time (`power`); the other prices are unchanged.
 
-        The result is None if the prices give no bound.
+        The best one gives the largest approximate lower bound. If the greatest duration exceeds
+        twice the least, `prices` are returned unchanged. The result is None if they give no bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
@@ -424,8 +426,10 @@ def bound_by_places(
     """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
     `winds`, shape (n, 3) [m/s], are corners of a polyhedron of all winds, all horizontal.
-    `pairs_in` takes such corners. `power` is that of hover [W]. If no prices give a bound, the
-    result is minus infinity. Implements docs/theory/bound.md, eq. (25).
+    `pairs_in` takes such corners and returns the pairs of the vehicle in these winds. `leg` is the
+    flight from start to goal, which the search for prices needs. `durations` has its least and
+    greatest duration [s]. `power` is that of hover [W]. If no prices give a bound, the result is
+    minus infinity. Implements docs/theory/bound.md, eq. (25).
     """
     search = _Search(pairs_in(winds), places, durations, power)
     mean = np.array([*places.corners.mean(axis=(0, 1)), 0.0])

@@ -349,7 +349,8 @@ def _run(
 def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a warning for each simulated flight that failed, or whose simulation is doubtful.
 
-    `flown` holds flights and, as text, reasons of failures.
+    `flown` has a flight or, as text, the reason of failure for each simulation. `flights` has the
+    flights and the plan's own; their `doubt` says why a simulation is doubtful.
     """
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
@@ -358,9 +359,10 @@ def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[st
 def _often(
     plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
-    """Simulate many flights of a run in turbulence; return them, and the warning about a failure.
+    """Simulate many flights of a run in turbulence; return them, and a warning if this fails.
 
-    The flights are None after a failure, without turbulence, or if the plan must not be flown.
+    `tuning` has the settings of an autopilot tuned for least energy, or is None. The flights are
+    None after a failure, without turbulence, or if the plan must not be flown.
     """
     baseline = plan.scenario.baseline
     cruise = None if tuning is None else tuning.settings
@@ -396,7 +398,8 @@ def _adaptation(
 ) -> pd.DataFrame | None:
     """Simulate a run's mission with and without the controller's adaptation to the wind.
 
-    The result is None if `optimum` is None, if the air is calm, or if a simulation fails.
+    The result is the table of `adaptation_study`. It is None if the plan's flight, `optimum`, is
+    None, in calm air, or if a simulation fails.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

@@ -364,9 +364,11 @@ def unknown_column(
 def _read(
     columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
 ) -> dict[str, float]:
-    """Return the output columns of a sweep for a case's flight, rounded to nine digits or fewer.
+    """Return the output columns of a sweep for a case's flight, rounded.
 
-    A column that is undefined for the flight is NaN.
+    Values have nine significant digits; the error estimate has two, and residuals are multiples of
+    1e-7. An undefined value is NaN. `scenario` is the case's scenario; by default, it is that of
+    `plan`.
     """
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
@@ -463,9 +465,11 @@ class _Bench:
     _base_plans: dict[str, Plan] = field(default_factory=dict)
 
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
-        """Plan a case's flight, starting from the packed solution of its parent if there is one.
+        """Plan a case's flight, starting from the solution of its parent if there is one.
 
-        If this gives no verified plan, a new planner solves the case from its own initial guess.
+        `warm_start` is the solution of the parent, a neighbouring case solved before, packed by
+        `pack`. If this gives no verified plan, a new planner solves the case from its own initial
+        guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

@@ -134,9 +134,10 @@ def _name_best(
     tried: Sequence[float],
     place: tuple[LineStyle, int],
 ) -> None:
-    """Print a curve's name, best mission duration and least quantity as a line of text in a panel.
+    """Print a curve's name, best mission duration and least quantity as a line in a panel.
 
-    `tried` has all durations of the sweep [s]. `place` is the curve's style and the line's number.
+    `tried` has all durations of the sweep [s]. Unless the next shorter and next longer duration
+    both have finished cases, "(at an edge)" is added. `place` is style and line number.
     """
     style, row = place
     best = best_along(curve, DURATION_FIELD, quantity.column, tried)
@@ -264,8 +265,8 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
 
-    If the gap between last and first direction exceeds 1.5 times the longest step, the curve stays
-    open.
+    `field` is the column of directions [rad], ascending. If the gap from last to first direction
+    exceeds 1.5 times the largest other gap, the curve stays open.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)

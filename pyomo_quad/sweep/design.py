@@ -414,12 +414,12 @@ class Case:
     position : int
         Row number of the case, from 0.
     key : str
-        Hash of the overrides, which stays when the study is extended.
+        Hash of the overrides. It stays the same if a later sweep adds values to the axes.
     overrides : mapping
         Value of each field that varies, by its dotted path.
     parent : int or None
         Position of the neighbouring case whose solution is the initial guess. None for the first
-        solve, and for the task `FLY_PLAN`.
+        solve, and for the task `FLY_PLAN`, in which all cases fly the base scenario's plan.
     """
 
     position: int

@@ -58,14 +58,20 @@ class Quantity:
 
 
 def field_quantity(path: str) -> Quantity:
-    """Return the printed name, unit and scale of a scenario field, given by its dotted path."""
+    """Return printed name and unit of a scenario field, and the factor to the printed unit.
+
+    `path` is the dotted path of the field, such as "mission.duration".
+    """
     unit = field_unit(path)
     name = " ".join(path.split(".")[-2:]).replace("_", " ")
     return _quantity(path, name, _PRINTED.get(unit, unit))
 
 
 def output_quantity(column: str) -> Quantity:
-    """Return the printed name, unit and scale of an output column of a sweep."""
+    """Return printed name and unit of a sweep's output column, and the factor to this unit.
+
+    `column` is the name of the column, such as "energy_J".
+    """
     unit = unit_of_column(column)
     name = column.removesuffix(f"_{unit}").replace("_", " ")
     return _quantity(column, name, _PRINTED.get(unit, unit))

@@ -1,4 +1,8 @@
-"""Report of a parameter sweep: result tables, figures and the text from templates."""
+"""Report of a parameter sweep: result tables, figures and the text from templates.
+
+A case is lost if its worker process died. The central case has the field values of the base
+scenario, or the middle values of the sweep.
+"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -94,7 +98,8 @@ def write_sweep_report(
 def _outcome(results: SweepResults) -> dict[str, Any]:
     """Return the variables of the report's template that need at least one finished case.
 
-    `best_of` and `best_durations` belong to the first output column that the report draws.
+    `best_durations` has the mission durations with the least value of the first output column that
+    the report draws. `best_of` is the label of this column.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -134,9 +139,10 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 
 
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
-    """Yield, for each kind of controlled flight, the cases in which the flight missed the goal.
+    """Yield, for each kind of controlled flight, the cases in which it missed the goal.
 
-    `away` has their row numbers, `worst_m` their largest distance from the goal [m] or NaN.
+    A dictionary has the `name` of the kind and the `count` of its flights. `away` has the row
+    numbers of these cases, `worst_m` their largest distance from the goal [m], NaN if none missed.
     """
     rows = results.finished
     for column in map(str, rows.columns):
@@ -156,9 +162,10 @@ def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
 def _sensitivities(
     results: SweepResults, quantities: Sequence[Quantity]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the ranges of quantities as scenario fields vary, for the report's template.
+    """Yield the ranges of each quantity as scenario fields vary, for the report's template.
 
-    `spread` is the range over all cases, and `found` the range along each numeric field.
+    `spread` is the range over all cases. `found` has the ranges along each numeric field, the
+    others as in the central case. Quantities with fewer than two of the latter are left out.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
@@ -176,8 +183,8 @@ def _sensitivities(
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
     """Yield the mission duration at which a quantity is least, for the report's template.
 
-    There is one item for each combination of values of the other fields. `at_base` is the quantity
-    at the base scenario's duration, or NaN.
+    Each dictionary is for one combination of the other fields' values. `best` has this duration.
+    `at_base` is the quantity at the base scenario's duration, NaN if no such case finished.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

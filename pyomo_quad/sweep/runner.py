@@ -49,17 +49,17 @@ class SilentListener(SweepListener):
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSummary:
-    """Numbers of finished, failed, lost and missing cases at the end of a sweep's run.
+    """Numbers of solved, failed, lost and not yet ended cases at the end of a sweep's run.
 
     Attributes
     ----------
     total : int
         Number of cases of the sweep.
     already_finished : int
-        Number of cases that finished or failed in an earlier run, and were not solved again.
+        Number of cases that were solved or failed in an earlier run, and were not solved again.
     finished, failed, lost : int
-        Numbers of cases that ended in this run: solved, failed, and lost because the worker process
-        died.
+        Numbers of cases that ended in this run: solved and verified, failed, and lost because the
+        worker process died.
     is_interrupted : bool
         Whether Ctrl-C ended the run early.
     """
@@ -240,9 +240,10 @@ class Sweep:
         return self._next_of(self._children_of(case))
 
     def _forget_descendants(self, case: Case) -> list[str]:
-        """Mark the descendants of a case that an earlier run lost as not solved; return their keys.
+        """Forget the results of a case's descendants, and return their keys.
 
-        If no earlier run lost the case, return no keys. The caller deletes the rows.
+        Descendants are children, their children, and so on. If no earlier run lost `case` by the
+        death of its worker, nothing is forgotten. The caller deletes the rows.
         """
         if case.key not in self._lost_before:
             return []

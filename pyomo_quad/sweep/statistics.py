@@ -1,7 +1,8 @@
 """Statistics of a parameter sweep: Pareto fronts, best values, sensitivities and ranges.
 
 A quantity is an output column, such as the energy. A dimension is one scenario field, or several
-fields that change together.
+fields that change together. A curve holds the finished cases that differ along one dimension only.
+The values of a random field are drawn at random.
 
 The central case has the field values of the base scenario. A field whose base value is not in the
 sweep has the middle of its values. Sensitivities and heat maps vary one or two dimensions, and keep
@@ -125,8 +126,8 @@ class Best:
     below, above : float or None
         Next smaller and next larger value of the field in the sweep; None if there is none.
     is_below_flown, is_above_flown : bool
-        Whether the case with the value `below` finished, and whether the case with the value
-        `above` finished.
+        Whether the case with the value `below`, and that with `above`, finished (was solved and
+        verified).
     """
 
     at: float
@@ -226,8 +227,9 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        The class `Sensitivity` defines the ranges. A field is left out if too few cases finished:
-        at fewer than two of its values, or too few for the fit.
+        The class `Sensitivity` defines the ranges. A field with given values is left out if cases
+        finished at fewer than two of them. Random fields are left out if too few cases finished for
+        the linear fit.
         """
         rows = self.finished.dropna(subset=[quantity])
         found: list[Sensitivity] = []

@@ -102,7 +102,8 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
 def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
     """Context manager: connect to an SQLite database for reading, even on a read-only disk.
 
-    StoreError is raised if the files cannot be read, or SQLite raises an error.
+    StoreError is raised if the database or its log file beside it cannot be read, or SQLite raises
+    an error.
     """
     if _is_readable_in_place(file):
         with connected(file, mode="ro") as connection:
@@ -559,8 +560,8 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     -------
     DataFrame
         Columns: number of the case (from 0), the fields that vary, status, reason of a failure, and
-        the output columns that the study keeps or reports. If the study names no columns to keep,
-        the table has all columns with values.
+        output columns. These are the columns `outputs` and `report_on` of the sweep's design. If
+        `outputs` is empty, they are all output columns with values.
 
     Examples
     --------

@@ -1,7 +1,8 @@
-"""Study file of a parameter sweep: its schema, its loading and the design made from it.
+"""Study file of a parameter sweep: its schema, its loading and the sweep design made from it.
 
 A study file (TOML) names a base scenario, the axes of the sweep, and the output columns to keep and
-report. An axis is a scenario field that the sweep varies, with the values that the field takes.
+report. An axis is a scenario field that the sweep varies, with the values that the field takes. The
+design adds the complete base scenario and the values of all axes, from which all cases follow.
 """
 
 from collections.abc import Iterator, Mapping
@@ -369,7 +370,8 @@ def _dimensions(study: Study, base: Scenario) -> Iterator[Dimension]:
 def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
     """Convert a number to its field's type, so that 10.0 is accepted for an integer field.
 
-    A value without an exact conversion is returned unchanged.
+    The type is that of the field's value in `tables`, the base scenario as nested mappings. A value
+    without an exact conversion is returned unchanged.
     """
     present = value_at(tables, *(parse_path(path) or ()))
     if isinstance(present, bool) or isinstance(value, bool):

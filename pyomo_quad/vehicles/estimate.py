@@ -61,7 +61,7 @@ def given(value: float, said: str) -> Estimate:
 def computed(value: float, formula: str) -> Estimate:
     """Make an `Estimate`, without range, of a value that follows from other values by a formula.
 
-    `value` is in SI units.
+    `value` is in SI units. `formula` is the formula as text, the value's origin.
     """
     return Estimate(value=value, low=value, high=value, kind=Kind.COMPUTED, said=formula)
 
@@ -69,6 +69,7 @@ def computed(value: float, formula: str) -> Estimate:
 def estimated(value: float, said: str, low: float, high: float) -> Estimate:
     """Make an `Estimate` of a value that is uncertain within a given range.
 
-    `value` is in SI units. `low` and `high` are the ends of the range, divided by the value.
+    `value` is in SI units. `said` describes its origin, such as a formula or publication. `low` and
+    `high` are the ends of the range, divided by the value.
     """
     return Estimate(value=value, low=low * value, high=high * value, kind=Kind.ESTIMATED, said=said)

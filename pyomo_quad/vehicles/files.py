@@ -1,4 +1,7 @@
-"""Vehicle and battery files (TOML) of an estimated vehicle, with the source of every number."""
+"""Vehicle and battery files (TOML) of an estimated vehicle, with the source of every number.
+
+The numbers of an estimated vehicle follow from the few data that its owner knows.
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

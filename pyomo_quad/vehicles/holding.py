@@ -98,13 +98,19 @@ class Held:
 
 
 def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
-    """Compare all library vehicles with measurements of their power."""
+    """Compare all library vehicles with measurements of their power.
+
+    `planner` compiles the vehicles' equations, from which the powers are computed.
+    """
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
 
 
 def held_against(name: str, planner: Planner) -> Held:
-    """Compare one library vehicle with measurements of its power."""
+    """Compare one library vehicle with measurements of its power.
+
+    `planner` compiles the vehicle's equations, from which the powers are computed.
+    """
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
     scenario = vehicle_scenario(name, PowerModel.MOMENTUM if is_momentum else PowerModel.MOTOR)

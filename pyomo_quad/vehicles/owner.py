@@ -198,7 +198,8 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
 def _ranged(field: str, value: float, said: str) -> Estimate:
     """Return an estimated value with the relative uncertainty that is typical of its field.
 
-    `field` is a key of the table of ranges `_RANGES`.
+    `field` is a key of the table of ranges `_RANGES`. `said` is the value's origin in words, such
+    as a formula or publication.
     """
     return estimated(value, said, *_RANGES[field])
 

@@ -1,6 +1,7 @@
 """Report that compares computed with measured powers of vehicles.
 
-The report has a table of vehicles known from data sheets, and a page for each library vehicle.
+A library vehicle is one of the vehicles of the package, whose power was measured. The report has a
+page for each. It also has a table of other vehicles, of which only data sheets are known.
 """
 
 from functools import partial
@@ -32,7 +33,8 @@ def write_vehicles(
 ) -> pd.DataFrame:
     """Write the report on powers of vehicles into an existing empty folder.
 
-    `held` are the library vehicles. The result is that of `data_sheets`.
+    `held` has the comparisons of all library vehicles. `planner` compiles their equations, from
+    which the curves in the figures are computed. The result is that of `data_sheets`.
     """
     sheets = data_sheets()
     drawings = write_study(

@@ -2,8 +2,10 @@
 
 A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_. If all
 coefficients satisfy a bound, the whole polynomial satisfies it, too. The converse is false, so
-bounds on coefficients restrict the solution more than necessary. For the cost, see
-docs/theory/transcription.md, eqs. (6) and (7).
+bounds on coefficients restrict the solution more than necessary. For an estimate of the resulting
+increase of the objective, see docs/theory/transcription.md, eqs. (6) and (7).
+
+The abscissa of coefficient k of a polynomial of degree n is the fraction k / n of the element.
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -90,11 +92,12 @@ class BernsteinRows:
     ----------
     coefficients, values : csr_array, shape (n_coefficients, n_unknowns)
         Matrices from the unknowns of the program to the coefficients, and to the values of the
-        polynomials at the abscissae of the coefficients.
+        polynomials at the abscissae of the coefficients. Only the estimate `restraint` uses
+        `values`.
     lower, upper : ndarray, shape (n_coefficients,)
         Bounds of the coefficients.
     elements : ndarray of int, shape (n_coefficients,)
-        Index of the element to which each coefficient belongs.
+        Index of the mesh element to which each coefficient belongs.
     """
 
     coefficients: csr_array
@@ -129,9 +132,9 @@ class BernsteinRows:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
         The estimate is the sum of max(multiplier * (coefficient - value), 0): see
-        docs/theory/transcription.md, eq. (7). The value is that of the polynomial at the
-        coefficient's abscissa. In `result`, these bounds are the last constraints; `gap` is its
-        complementarity gap.
+        docs/theory/transcription.md, eq. (7). The value is the polynomial's at the coefficient's
+        abscissa. These bounds are the last constraints of `result`; `gap` is its complementarity
+        gap. The argument `elements` is the mesh's number of elements.
         """
         pull = result.multipliers.rows[-self.lower.size :]
         beyond = self.coefficients @ result.z - self.values @ result.z
@@ -163,8 +166,9 @@ def bounded(
 ) -> BernsteinRows | None:
     """Return bounds on Bernstein coefficients in those elements where a variable is near a bound.
 
-    The bounds are widened by breach * max(1, abs(bound)). A bound that changes within an element is
-    left out. The result is None if `z` is near no bound.
+    The bounds are those of the unknowns, whose values are `z`; see `_is_near`. They are widened by
+    breach * max(1, abs(bound)). A bound that changes within an element is left out. The result is
+    None if no variable is near a bound.
     """
     mesh, layout, found = program.mesh, program.layout, []
     if mesh is None:

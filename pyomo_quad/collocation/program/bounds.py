@@ -1,9 +1,17 @@
 """Bounds and scaling of a nonlinear program, and errors for programs that cannot be solved.
 
 The scaling divides each unknown by its magnitude. For the other scaling factors, see
-docs/theory/refinement.md, eqs. (12) to (15). The argument `start_data` comes from
-`Formulation.data_at_starts`. The argument `fixed` has values of variables at declared times, by
-(name, fraction of the horizon).
+docs/theory/refinement.md, eqs. (12) to (15).
+
+Some arguments have the same meaning in several functions:
+
+- `z`: values of the program's unknowns, usually those of the initial point.
+- `start_data`: values of all parameters, one row per time. The times are the start of the horizon,
+  and just after each jump of a parameter (`Formulation.data_at_starts`).
+- `fixed`: values of variables that are fixed at declared times, by (name, fraction of the horizon).
+
+Free times are static variables (without time) for times of the horizon: the start, the end or
+times in between. The solve determines them. Each must lie after the time before it.
 """
 
 from __future__ import annotations
@@ -65,7 +73,6 @@ def bounds_of(
     ------
     TranscriptionError
         If a lower bound exceeds an upper bound, or if bounds contradict the order of free times.
-        Free times are variables for physical times.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
@@ -294,7 +301,8 @@ def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArra
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Return the magnitude of each unknown, on which its scaling depends, shape (n_unknowns,).
 
-    All unknowns of a variable have the same magnitude; see `_magnitude`.
+    All unknowns of a variable have the same magnitude. It depends on the values of the unknowns in
+    `z`, and on their bounds; see `_magnitude`.
     """
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
@@ -311,8 +319,8 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, for the scaling of its unknowns.
 
-    If the Pyomo model has a scaling factor, the magnitude is 1 / factor. Otherwise it is the
-    largest absolute value in `z` and among bounds below 1e6; 1 if this is 0.
+    `columns` are their positions in `z`. If the model has a scaling factor, the magnitude is its
+    inverse. Otherwise, it is the largest absolute value in `z` and bounds below 1e6, or 1.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -349,8 +357,9 @@ def refuse_overdetermined(
 ) -> None:
     """Raise TranscriptionError if a program's equations are linear and contradict each other.
 
-    The check is made only if the program has more equations than free unknowns. The message lists
-    `fixed`, the names of variables with fixed values.
+    The check is made only if the program has more equations than free unknowns. It linearises the
+    equations at `z`. The message lists `fixed`, which are here the names of variables with fixed
+    values.
     """
     # Nonlinear equations are accepted: only a solve can decide whether they have a solution.
     if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
@@ -368,7 +377,11 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 
 
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
-    """Return whether a program's equations are linear and have no solution."""
+    """Return whether a program's equations are linear and have no solution.
+
+    The equations are linearised at `z`, and solved for the free unknowns, whose bounds are unequal.
+    Apart from fixed unknowns, bounds are ignored.
+    """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
     equal = np.flatnonzero(bounds.row_lower == bounds.row_upper)

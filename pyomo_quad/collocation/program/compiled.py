@@ -2,6 +2,10 @@
 
 The functions are compiled once per model, independently of the mesh. CasADi's method `map`
 evaluates them at all collocation points.
+
+Static variables are variables without time. A static variable replaces each integral that enters a
+condition, a nonlinear term of the objective, or the coupling of several horizons. An added
+constraint makes it equal to the integral. All other integrals enter only the objective, linearly.
 """
 
 from __future__ import annotations
@@ -236,8 +240,9 @@ def split_simple_bounds(
 ) -> tuple[tuple[Any, ...], tuple[SimpleBound, ...]]:
     """Separate constraints that bound a single variable from all other constraints.
 
-    The result is (other constraints, bounds). `candidates` names the unknowns of the nonlinear
-    program, which alone can have bounds. A symbol that is not in `variables` is a parameter.
+    The result is (other constraints, bounds). `variables` maps the names of all variables in the
+    constraints to their CasADi symbols; all other symbols are parameters. `candidates` names the
+    variables that may have bounds. Rates (time derivatives), for example, may not.
     """
     # Ipopt handles bounds of variables more efficiently than constraints.
     others, bounds = [], []
@@ -255,8 +260,9 @@ def _as_simple_bound(
 ) -> SimpleBound | None:
     """Return a constraint on a single variable as a `SimpleBound`, otherwise None.
 
-    The constraint must be linear with a constant slope, and the variable one of `candidates`. An
-    equality over time gives None.
+    `variables` maps names to CasADi symbols. The constraint must be linear in the variable, with a
+    number as coefficient. The variable must be one of `candidates`. An equality over time gives
+    None.
     """
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
@@ -363,12 +369,12 @@ class CompiledModel:
     times : casadi.Function
         (static variables, parameters) -> physical times of start, free interior times, and end.
     row_integrals : tuple of int
-        Positions of the integrals that no static variable replaces.
+        Positions of the integrals that no static variable replaces, in `Declarations.integrals`.
     symbols : (casadi.SX, casadi.SX)
         Symbols of variables and data of a point.
     tables : TableArguments
     static_of_integral : dict
-        Position of any other integral -> position of its static variable.
+        Position of any other integral -> position of the static variable that replaces it.
     """
 
     declared: Declarations
@@ -509,7 +515,8 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 def _times(declared: Declarations, parameters: Any) -> Any:
     """Return the CasADi function (static variables, parameters) -> boundaries of the phases.
 
-    They are physical times: the start of the horizon, the free interior times, and the end.
+    They are physical times: the start of the horizon, the free interior times, and the end. The
+    argument `parameters` is the CasADi column of the parameters' symbols.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
@@ -551,10 +558,10 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 
 
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
-    """Return constraints equivalent to `equation`, whose limits depend on data alone.
+    """Return constraints equivalent to `equation`, whose limits contain no static variables.
 
-    If `moves(limit)` is true, the limit depends on static variables, and is subtracted: ``y <=
-    limit`` becomes ``y - limit <= 0``.
+    A limit contains static variables if `moves(limit)` is true. It is then subtracted: ``y <=
+    limit`` becomes ``y - limit <= 0``. Limits may still depend on parameters and time.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -622,7 +629,11 @@ def _moving_side(side: Any) -> tuple[Any, Any]:
 def _table_arguments(
     declared: Declarations, path_variables: dict[str, Any], point_variables: dict[str, Any]
 ) -> TableArguments:
-    """Compile the functions that evaluate the arguments of all interpolation tables in a model."""
+    """Compile the functions that evaluate the arguments of all interpolation tables in a model.
+
+    Both mappings have CasADi symbols by name, from `_path_symbols` for equations over time, and
+    from `_point_symbols` for conditions. Each gives one function.
+    """
     parameters = _symbols(declared.parameters)
     made: list[Any] = []
     for variables, data in (
@@ -666,7 +677,11 @@ def _anonymous(function: Any) -> str:
 
 
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
-    """Return the CasADi function from data to the lower and upper bounds of `items`."""
+    """Return the CasADi function from `data` to the lower and upper bounds of `items`.
+
+    `data` is a column of symbols of parameters, possibly with the fraction of the horizon. Each
+    item is a variable or constraint with expressions `lower` and `upper`.
+    """
     sides = [stacked([i.lower for i in items]), stacked([i.upper for i in items])]
     return casadi.Function(name, [data], sides)
 
@@ -748,7 +763,8 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
 def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
     """Return CasADi functions of a column of expressions, its Jacobian and its weighted Hessian.
 
-    The derivatives of the expressions `rows` are taken with respect to the symbols `variables`.
+    The expressions `rows` depend on the symbols `variables` and `data`. Derivatives are taken by
+    `variables` only. The Hessian is that of the rows' weighted sum, with one weight per row.
     """
     plain = WithoutCalls.of(casadi.densify(rows), [variables, data])
     jacobian = casadi.jacobian(plain.rows, variables)

@@ -1,11 +1,11 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
 Each continuous set is a horizon, with a program for its own constraints. The objective and all
-other constraints form the coupling. There, static variables (without time) stand for values and
-integrals of a horizon:
+other constraints form the coupling. They contain static variables (without time) in place of a
+horizon's integrals and of its values at declared times (members of the set):
 
-- A state shares the unknown of its static variable.
-- For another value or an integral, the horizon has an equality constraint.
+- A value of a state and its static variable are one unknown of the joint program.
+- For any other value or an integral, the horizon's program makes both equal by a constraint.
 
 An integral that enters only the objective, with a number as coefficient, has no static variable. It
 moves into the objective of its horizon.
@@ -122,7 +122,8 @@ class CouplingWriter(TemplateWriter):
         Raises
         ------
         TranscriptionError
-            If the value must not appear in the coupling.
+            If a parameter over time is given at a single time, or a constraint contains a variable
+            at an interior time of a horizon.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -262,8 +263,8 @@ def _refuse_gaps(
 ) -> None:
     """Raise an error if an equality joins the end of a horizon to a later start of another one.
 
-    The gap is accepted if one of the two times is in `free`, which has one mapping per continuous
-    set.
+    The gap is accepted if one of the two times is free (determined by the solve). `free` maps set
+    names to {free time: variable}.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)
@@ -283,9 +284,10 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Split the objective into integrals over one horizon with constant factors, and the rest.
+    """Split the objective `cost` into integrals over the horizon of `reader`, and the rest.
 
-    An integral whose symbol is in `in_conditions` belongs to the rest.
+    An integral belongs to the rest if its factor varies, or if constraints of the coupling contain
+    its symbol. `in_conditions` has the names of all symbols in them.
     """
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
@@ -298,7 +300,10 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return static variables for the integrals of a horizon whose symbols are in `names`."""
+    """Return the static variables of those integrals whose symbols have names in `names`.
+
+    Only integrals over the horizon of `reader` are returned.
+    """
     return [
         integral.slot
         for integral in reader.writer.integrals.values()

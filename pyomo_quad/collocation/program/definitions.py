@@ -35,8 +35,9 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    The variable must have a constant coefficient in the equation, and `among` must contain its
-    index; None admits all. For example, ``k == exp(-1 / x)`` defines k, but not x.
+    The variable must have a constant coefficient in the equation. The coefficients are compared at
+    the unknowns `z` and at a point displaced from `z`. `among` has the indices of admissible
+    variables; None admits all. For example, ``k == exp(-1 / x)`` defines k, but not x.
     """
     compiled, layout, path = program.compiled, program.layout, program.compiled.path
     n, count = layout.n_states, layout.n_algebraics

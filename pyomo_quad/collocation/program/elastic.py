@@ -2,8 +2,8 @@
 
 An elastic program has further unknowns, called slacks, that permit a violation.
 
-- `priced` keeps the objective, and adds slacks to the path equations. The optimum serves as initial
-  point.
+- `priced` keeps the objective, and adds slacks to the path equations (equalities over time). Its
+  optimum serves as the initial point of the program without slacks.
 - `least_violation` adds slacks to all constraints, and minimises their sum instead of the
   objective. If the least sum is positive, no point nearby satisfies all constraints: the problem is
   reported as infeasible.
@@ -51,7 +51,7 @@ def _with_slacks(
     """Return a program with two penalised slacks >= 0 in each of the constraints `rows`.
 
     One slack increases the value of the constraint by `sizes` times the slack, the other decreases
-    it. The original program has `n` unknowns.
+    it. `prices` are penalties per unit of slack. The original program has `n` unknowns.
     """
     slacks = n + np.arange(2 * rows.size)
     # After the n original unknowns come k slacks that increase the values of the constraints, then
@@ -97,7 +97,8 @@ def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedP
     """Return an elastic program whose path equalities may be violated at a penalty.
 
     One unit of slack changes the scaled value of an equation by 1. Its penalty is proportional to
-    the quadrature weight of the collocation point. Only the size of `z` matters.
+    the quadrature weight of the collocation point. `z` has the unknowns of `program`; only their
+    number is used.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))

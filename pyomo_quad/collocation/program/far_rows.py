@@ -81,7 +81,11 @@ class ProgramOfRows:
 
     @cached_property
     def _entries(self) -> tuple[NDArray[np.intp], tuple[Any, Any]]:
-        """Positions of the chosen rows' nonzeros in the Jacobian, with their rows and columns."""
+        """Positions of the chosen constraints' nonzeros in the Jacobian of the other program.
+
+        The second item has their rows and columns. The rows are numbered among the chosen
+        constraints.
+        """
         rows, columns = (np.asarray(index) for index in self.program.jacobianstructure())
         position = np.full(self.program.n_rows, -1)
         position[self.rows] = np.arange(self.rows.size)

@@ -173,8 +173,9 @@ class SolverOptions:
     def for_phases(self) -> SolverOptions:
         """Return settings for models in which an equation holds a variable at its bound.
 
-        An example is an equation that prescribes full thrust for a while. Ipopt relaxes all bounds
-        slightly (by 1e-10, relative), and finally projects the solution onto the original bounds.
+        An example is full thrust that an equation prescribes in one phase (interval between free
+        times). With these settings, unlike the defaults, Ipopt relaxes all bounds by 1e-10
+        (relative). It finally projects the solution onto the original bounds.
         """
         # Equation and bound together leave the feasible set without an interior. Without the
         # relaxation, the multipliers diverge, and a warm start from them is slower than a solve
@@ -262,8 +263,9 @@ class SolverOptions:
     def from_afar(self) -> SolverOptions:
         """Return the settings for a solve whose first point violates many inequalities.
 
-        The settings replace the attribute `cold`, which applies to solves without a warm start. The
-        barrier parameter begins at 0.1 and only decreases: see docs/decisions/speed.md.
+        Only the attribute `cold`, which applies to solves without a warm start, differs from these
+        settings. Its new options make the barrier parameter begin at 0.1 and only decrease: see
+        docs/decisions/speed.md.
         """
         # By default, Ipopt chooses the barrier parameter adaptively, and estimates its first value
         # from the first point. The estimate is then often a thousand times too small, so that the
@@ -273,8 +275,8 @@ class SolverOptions:
     def from_a_flight(self) -> SolverOptions:
         """Return the settings for a solve whose first point is a flight along a route.
 
-        The settings replace the attribute `cold`, which applies to solves without a warm start. The
-        barrier parameter is at most 0.01.
+        Only the attribute `cold`, which applies to solves without a warm start, differs from these
+        settings. Its only option limits the barrier parameter to 0.01.
         """
         # The first value of Ipopt's adaptive barrier parameter may be near 1. The iterates then
         # move to flights that take two or three times as long, and need many iterations to return.
@@ -302,8 +304,9 @@ class Iteration:
     iteration : int
         Number of the iteration, from 0 in each solve.
     objective : float
-        Objective of the nonlinear program, not negated if the Pyomo model maximises it. Damping and
-        penalties of slacks are included.
+        Objective of the nonlinear program, not negated if the Pyomo model maximises it. Added costs
+        are included: penalties of slacks, and a quadratic cost that keeps controls near given
+        values.
     infeasibility, dual_infeasibility : float
         Largest violation of the scaled constraints, and of the scaled stationarity conditions
         (gradient of the Lagrangian equal to zero).
@@ -380,6 +383,8 @@ class Effort:
 class IpoptResult:
     """Result of a solve by Ipopt: point, multipliers and progress.
 
+    A solve may be repeated with other settings. The method `after` adds earlier solves to a result.
+
     Attributes
     ----------
     status : Status
@@ -395,7 +400,7 @@ class IpoptResult:
     iterations : int
         Number of iterations of the last solve.
     history : tuple of Iteration
-        Progress reports of all solves.
+        Progress reports of all solves, the first solve first.
     wall_s : float
         Wall-clock time of all solves [s].
     """
@@ -460,7 +465,11 @@ class _Callbacks:
 
     @property
     def is_bottomless(self) -> bool:
-        """Whether the problem appears unbounded: five iterations in a row were below `floor`."""
+        """Whether the problem appears unbounded.
+
+        It does if the objective to minimise was below the attribute `floor` in the last five
+        iterations.
+        """
         return self.below >= _PATIENCE_BELOW
 
     # Cached, because a program may rebuild its structure at each call.
@@ -723,9 +732,10 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve a program by Ipopt, and repeat the solve until `barrier_gap` is negligible.
 
-    The gap is compared with `size`, which returns the magnitude of the objective at given
-    unknowns. If a repetition fails or is interrupted, the previous result is returned. Its history
-    and wall-clock time do not include this repetition.
+    At most two repetitions continue from the last solution, with a larger scaling factor of the
+    objective. The gap is negligible up to ``1e3 * size(z)`` times Ipopt's tolerance. `size` returns
+    the objective's magnitude, which must reach 1e-6 after scaling. If a repetition fails, the
+    previous result is returned.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)
@@ -755,7 +765,8 @@ def run_past_the_barrier(
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
     """Pass options to Ipopt: defaults, settings for a warm or cold start, the caller's options.
 
-    If an option is unknown or its linear solver cannot be loaded, a `TranscriptionError` is raised.
+    If Ipopt refuses an option, or cannot load the linear solver that an option names, a
+    `TranscriptionError` is raised.
     """
     chosen = _DEFAULTS | {
         "tol": options.tolerance or _TOLERANCE,

@@ -1,9 +1,10 @@
 """Redundant conditions: found at given unknowns, left out of a solve, and checked afterwards.
 
-A condition (constraint at declared times or without time, or fixed value) is redundant if other
-equations imply it. For example, the initial conditions imply an end condition on a conserved
-quantity. On a mesh, the other equations imply the condition only up to the discretisation error. A
-program that imposes it may then have no solution, or unbounded multipliers.
+A condition is a fixed value, or a constraint without time or at declared times (members of the
+continuous set). It is redundant if other equations, linearised at the unknowns, imply it. For
+example, initial conditions imply an end condition on a conserved quantity. On a mesh, they imply it
+only up to the discretisation error. A program that imposes it may then have no solution, or
+unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -132,7 +133,8 @@ def _slopes_of(
 ) -> list[FloatArray]:
     """Return the scaled gradients of conditions with respect to the unknowns `free`.
 
-    `slopes` is the scaled Jacobian, shape (n_rows, n_free).
+    `free` has the indices of n_free unknowns. `slopes` has only their columns of the scaled
+    Jacobian, shape (n_rows, n_free). Each gradient has n_free items.
     """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
@@ -177,8 +179,8 @@ def misses(
 ) -> list[float]:
     """Return by how much the solution `z` violates each condition that was left out of its solve.
 
-    The violations are absolute, scaled, and in the order of `redundant_conditions`. `bounds` and
-    `fixed` include the conditions that were left out.
+    A violation is the absolute residual of the condition times its scaling factor. The order is
+    that of `redundant_conditions`. `bounds` and `fixed` include the conditions that were left out.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

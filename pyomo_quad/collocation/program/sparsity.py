@@ -333,8 +333,8 @@ class Scatter:
 class JacobianScatter:
     """Assembly of the constraints' Jacobian and objective's gradient from derivatives at points.
 
-    A direct integral appears in the objective itself; a static variable represents any other. For
-    the inputs (sources) of the maps, see `jacobian_scatter`.
+    A direct integral appears in the objective itself. Static variables (without time) stand for all
+    other integrals. For the inputs (sources) of the maps, see `jacobian_scatter`.
 
     Attributes
     ----------
@@ -344,13 +344,17 @@ class JacobianScatter:
         Map to the objective's gradient, without direct integrals.
     integrals : tuple of Scatter
         Map to each direct integral's gradient.
-    slope_sources, slope_integrals : ndarray of int
-        Sources of the objective's derivatives by direct integrals, and these integrals.
+    slope_sources : ndarray of int
+        Positions of the objective's derivatives by direct integrals, among the sources of
+        conditions and objective.
+    slope_integrals : ndarray of int
+        For each of these derivatives, the number of the direct integral, from 0.
     n_integrals : int
         Number of direct integrals.
     n_path_sources : int
         Number of sources of path equations and integrands.
     unknowns : int
+        Number of unknowns of the nonlinear program.
     """
 
     rows: Scatter
@@ -366,8 +370,8 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return the objective's derivative with respect to each direct integral.
 
-        The shape is (n_integrals,). `point_sources` are the derivatives of conditions and
-        objective, as CasADi returned them.
+        The shape is (n_integrals,). `point_sources` are the nonzeros of the Jacobian of conditions
+        (constraints not over time) and objective, as CasADi returned them.
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]

@@ -147,6 +147,8 @@ class Transcription:
     - conditions (constraints without time, or at members of the continuous set);
     - constraints that make static variables equal to integrals.
 
+    A direct integral has no static variable; it appears in the objective itself.
+
     Parameters
     ----------
     compiled : CompiledModel
@@ -248,8 +250,9 @@ class Transcription:
     def time_of(self, fraction: float) -> float:
         """Return the physical time at a fraction of the horizon, for messages.
 
-        The time is interpolated linearly between start and end of the horizon, also if free times
-        lie inside the horizon. If `horizon` is None, the result is `fraction` itself.
+        The time is interpolated linearly between start and end of the horizon. It is therefore
+        approximate if the solve also determines times inside the horizon. If `horizon` is None, the
+        result is `fraction` itself.
         """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
@@ -317,7 +320,8 @@ class Transcription:
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
         """Return the derivatives of the objective with respect to its direct integrals.
 
-        The objective is not negated if the Pyomo model maximises it.
+        Direct integrals are those without a static variable. The objective is not negated if the
+        Pyomo model maximises it.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
@@ -329,8 +333,8 @@ class Transcription:
     def point_variables(self, z: FloatArray) -> FloatArray:
         """Return the variables of conditions and objective for the unknowns `z`, as one row.
 
-        They are values at declared times, static variables (without time), and the direct integrals
-        of the objective.
+        They are values at members of the continuous set, static variables (without time), and the
+        direct integrals of the objective.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
@@ -363,7 +367,11 @@ class Transcription:
         return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
 
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
-        """Return the derivatives in the order of `jacobian_scatter`, cached for `z`."""
+        """Return the numbers from which Jacobian and gradient are assembled, cached for `z`.
+
+        They are Jacobian nonzeros of path equations and integrands, then of conditions and
+        objective. The number 1 follows: see `jacobian_scatter`.
+        """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
             if self.layout.points:
@@ -418,9 +426,10 @@ class Transcription:
     ) -> FloatArray:
         """Return the factors of path equations, then integrands, in the Lagrangian at each point.
 
-        They are the multipliers of the path equations, and ``quadrature weight * weight`` for an
-        integrand, with the weight from `integral_weights`. The shape is (n_points, n_equations +
-        n_integrals).
+        A path equation has its multiplier, an integrand the quadrature weight times its weight from
+        `integral_weights`. `multipliers` are those of all constraints. `factor` multiplies the
+        Pyomo model's objective; None means 1, or -1 if it is maximised. The shape is (n_points,
+        n_equations + n_integrals).
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -447,8 +456,8 @@ class Transcription:
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the diagonals of the Hessians from `path_hessians`, shape (n_points, n_variables).
 
-        Entry (i, j) is the second derivative of the Lagrangian with respect to variable j at
-        collocation point i, divided by the quadrature weight of the point.
+        Entry (i, j) is the Lagrangian's second derivative by variable j at point i, divided by the
+        point's quadrature weight. `multipliers` are those of all constraints.
         """
         path = self.compiled.path
         held = self._path_hessian(z, multipliers)
@@ -460,8 +469,9 @@ class Transcription:
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Lagrangian's Hessian by the variables of each point.
 
-        The Lagrangian is that of path equations and integrands, divided by the quadrature weight of
-        the point. The shape is (n_points, n_variables, n_variables).
+        The Lagrangian at a point is the sum of path equations and integrands times their
+        `path_weights`, divided by the quadrature weight. `z` are the unknowns, and `multipliers`
+        those of all constraints. The shape is (n_points, n_variables, n_variables).
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -473,7 +483,8 @@ class Transcription:
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the nonzeros of the Hessians from `path_hessians`, shape (n_points, n_nonzeros).
 
-        The nonzeros are those of the lower triangle.
+        The nonzeros are those of the lower triangle. Each Hessian has the Lagrangian's second
+        derivatives by the variables of one point. `multipliers` are those of all constraints.
         """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
@@ -501,8 +512,9 @@ class Transcription:
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
-        The contribution is the sum of all integrands times their `integral_weights`. It is a
-        density over the fraction of the horizon.
+        It is the sum of all integrands times their `integral_weights`, the derivatives of the
+        Lagrangian by the integrals. It is a density over the fraction of the horizon. `multipliers`
+        are those of all constraints.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
@@ -548,10 +560,10 @@ def rate_corrections(
 ) -> FloatArray:
     """Return the changes of the rates after which the differential equations are satisfied.
 
-    They are Newton steps, shape (n_points, n_states), exact if the equations are linear in the
-    rates. If there are fewer or more equations than rates, they are least-squares steps of least
-    norm. Singular square equations raise a `numpy.linalg.LinAlgError`. `rows` has the values of the
-    path equations.
+    They are Newton steps, shape (n_points, n_states), exact for equations linear in the rates. With
+    fewer or more equations than rates, they are least-squares steps of least norm. Singular square
+    equations raise a `numpy.linalg.LinAlgError`. `rows` are the values of all path equations at
+    `variables` and `data` (see `Transcription.path_slopes`).
     """
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]

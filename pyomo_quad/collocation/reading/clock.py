@@ -124,9 +124,10 @@ class PhaseTimes:
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
     def phase_of(self, time: float) -> int:
-        """Return the index, from 0, of the phase that contains a given time.
+        """Return the index, from 0, of the phase that contains a time.
 
-        A boundary of two phases belongs to the phase that ends there.
+        `time` is in the range of the continuous set, but need not be its member. A boundary of two
+        phases belongs to the phase that ends there.
         """
         return bisect_left(self.declared[1:-1], time)
 

@@ -196,7 +196,10 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
 
 
 def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
-    """Raise an error for piecewise functions that use integer variables or are indexed by time."""
+    """Raise an error for piecewise functions that use integer variables or are indexed by time.
+
+    `times` are the continuous sets of the model.
+    """
     # All other piecewise functions consist of linear constraints.
     for block in model.component_objects(Block, active=True, descend_into=True):
         if isinstance(block, Piecewise) and (
@@ -257,7 +260,7 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     """Clone a model, add a template time to each continuous set, and return the working copies.
 
-    There is one for each set, or one for a model without time.
+    Each set has a working copy, and a model without time has a single one. All share one clone.
 
     Raises
     ------
@@ -307,7 +310,8 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
     """Make the members of all components at the template times, by calling their rules.
 
-    A `TranscriptionError` is raised if a rule fails at a template time.
+    `copy` is the clone of the model, and `copies` has the template time of each continuous set. A
+    `TranscriptionError` is raised if a rule fails at a template time.
     """
     try:
         expand_components(copy)

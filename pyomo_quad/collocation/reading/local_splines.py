@@ -4,10 +4,11 @@ In each cell of its grid, a spline of x, y, ... is the sum of the terms
 
     c[i, j, ...] * f_i(x) * g_j(y) * ... ,
 
-where each index runs from 0 to the degree. A CasADi function looks up the cell's coefficients c. It
-returns value, gradient and Hessian at rounded arguments. The spline's expression is the Taylor
-polynomial of degree two about the rounded arguments: see docs/theory/transcription.md,
-"Interpolation tables".
+where each index runs from 0 to the degree. The factors are powers of a coordinate in the cell, or
+B-spline basis functions. A CasADi function looks up the coefficients c, and returns value, gradient
+and Hessian. Its arguments are rounded to 2**-38 of a grid step, and count as constants. The
+spline's expression is the Taylor polynomial of degree two about the rounded arguments: see
+docs/theory/transcription.md, "Interpolation tables".
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class LocalSpline:
     function : casadi.Function
         Rounded arguments -> value, gradient and upper triangle of the Hessian.
     kept : tuple of casadi.Function
-        Derivatives of `function`, which are zero.
+        Derivatives of `function`, defined as zero because its arguments count as constants.
     """
 
     roundings: tuple[float, ...]
@@ -173,8 +174,8 @@ _Parts = dict[tuple[int, ...], Any]
 def _weights(count: int, cells: int, degree: int) -> Any:
     """Return a CasADi function for the factors of a spline in a grid cell, with their derivatives.
 
-    It returns a matrix per axis; each row has the value and two derivatives of a factor. Factors
-    are powers on the first `cells` axes, and basis functions on the others.
+    It returns a matrix per axis; each row has value and two derivatives of a factor. The first
+    `cells` of `count` axes have powers, the others basis functions.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)
@@ -190,9 +191,10 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 
 
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
-    """Sum the terms of a spline's value and derivatives along `axes`, the last axes not yet summed.
+    """Sum the terms of a spline's value and derivatives along `axes`.
 
-    `weights` has a matrix per axis: value, first and second derivative of each factor.
+    `parts` has the sums along all later axes, so that `axes` are the last ones left, in rising
+    order. ``weights[axis]`` has one row per factor: value, first and second derivative.
     """
     # Multiply by the factors of an axis, and sum over its index.
     # For a derivative along an axis, the derivative of the factor replaces the factor.
@@ -213,10 +215,10 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 
 
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
-    """Return a CasADi function that sums over the first two axes (or the only axis) of a spline.
+    """Return a CasADi function that sums over the first two axes (or the only one) of `count` axes.
 
-    The result is a column of value, gradient and upper triangle of the Hessian. `given` has the
-    keys of a `_Parts` dictionary.
+    Inputs are sums along the other axes, whose derivative orders are in `given`, and factors. The
+    result is one column: value, gradient, upper triangle of the Hessian.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left
@@ -231,9 +233,10 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
 
 
 def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
-    """Return the powers of ``(at - anchor) * per_width``, with two derivatives by `at`.
+    """Return powers of ``(at - anchor) * per_width``, a coordinate in a grid cell.
 
-    The matrix has one row per power from 0 to `degree`.
+    The cell has the origin `anchor` and the width ``1 / per_width``. The matrix has one row per
+    power from 0 to `degree`: value, first and second derivative by `at`.
     """
     share = (at - anchor) * per_width
     powers = [casadi.SX(1), *(share**k for k in range(1, degree + 1))]
@@ -278,7 +281,8 @@ class _Pieces:
     def of(cls, knots: FloatArray, degree: int) -> Self:
         """Return the polynomial pieces of the B-spline basis with given knots, in each cell.
 
-        In the first and the last cell, the pieces are the tangents at the neighbouring cell.
+        In the first and the last cell, tangents replace the pieces. They touch the pieces of the
+        neighbouring cell at the common grid point.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 

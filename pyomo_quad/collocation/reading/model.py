@@ -1,6 +1,7 @@
 """Reading of a Pyomo.DAE model: equations over time, conditions, integrals and objective.
 
 A condition is a constraint at declared times (members of the continuous set) or without time.
+Dictionaries `instances` contain members of one constraint that differ in time only, by their time.
 """
 
 from __future__ import annotations
@@ -109,7 +110,8 @@ class RelationReader:
     ) -> None:
         """Read the members of a constraint that differ in time only, and append them to the lists.
 
-        Members that an equation over time does not cover become conditions.
+        `index` is their index without time, and `instances` maps each time to its member. Members
+        that an equation over time does not cover become conditions.
         """
         template = instances.pop(self.copy.template_time, None) if self.copy.time else None
         equation = None
@@ -139,7 +141,8 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList that has the same constraint at each declared time.
 
-        A list with a state or a variable without time is accepted.
+        It is probably meant for all times. A list with a state is accepted, since states may have
+        values at single times. So is one with a variable without time.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -151,7 +154,6 @@ class RelationReader:
                 return
             times |= {a.time for a in held}
         if times == set(self.copy.declared_times):
-            # Such a list is probably meant for all times.
             self._refuse_alike(component, members)
 
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
@@ -175,7 +177,10 @@ class RelationReader:
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Return a condition; raise an error if it contains a time-dependent parameter."""
+        """Return a condition unchanged, if it contains no time-dependent parameter.
+
+        Such a parameter is not supported at single times, and raises a `TranscriptionError`.
+        """
         signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
         read = signals & symbol_names(condition.expression)
         if read:
@@ -188,7 +193,11 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return a constraint's members at start and end that its equation does not impose."""
+        """Return a constraint's members at start and end that its equation does not impose.
+
+        The equation is imposed at the end, but not at the start. At the end, a member that differs
+        is returned; at the start, a member without rates or algebraic variables.
+        """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         # The collocation points include the end of the horizon but not its start. An equation with
@@ -489,7 +498,10 @@ class ModelReader:
                         self.writer.write_at_template(component, address.index)
 
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
-        """Return the algebraic variables in an equation over time, an integrand or `points`."""
+        """Return the algebraic variables in equations over time, integrands or `points`, by name.
+
+        `points` are the values at declared times in conditions and objective.
+        """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
         used = symbol_names(casadi.vertcat(*parts)) | {point.slot for point in points}
@@ -529,7 +541,9 @@ class ModelReader:
     ) -> frozenset[str]:
         """Return the names of variables that equations without time derivatives determine.
 
-        `read` has the names of the symbols of each equality over time.
+        Candidates are `states`, whose rates no equation contains, and derivatives in space. Each
+        equation determines at most one of them. `read` has the names of the symbols of each
+        equality over time.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
@@ -570,9 +584,10 @@ class ModelReader:
         nominal: dict[str, float],
         bounds: Callable[[Slot], tuple[Any, Any]],
     ) -> tuple[Slot, ...]:
-        """Return variables with CasADi expressions of their bounds, and magnitudes for scaling.
+        """Return the variables of `table` with final bounds, and with magnitudes for scaling.
 
-        `nominal` has magnitudes by name of a variable or component.
+        `bounds` returns a variable's lower and upper bound as CasADi expressions. `nominal` has
+        magnitudes by name of a variable or component.
         """
         finished = []
         for slot in table.values():

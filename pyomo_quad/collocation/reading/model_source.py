@@ -1,7 +1,9 @@
 """Sources of the values of parameters and variables: a Pyomo model, or a copy for pickling.
 
 A compiled problem reads these values when it is solved: usually from the user's Pyomo model, and in
-a pickled problem from a copy of the model's values at pickling.
+a pickled problem from a copy of the model's values at pickling. A `Slot` names a scalar variable or
+parameter by its Pyomo component and its index without time. Declared times are the members of the
+continuous set.
 """
 
 from __future__ import annotations
@@ -177,7 +179,10 @@ class LiveModel:
         return None if found is None else float(found)
 
     def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
-        """Raise an error for a variable that is fixed to different values at the declared times."""
+        """Raise an error for a variable that is fixed to different values at the declared times.
+
+        `index` is the index of the variable without time.
+        """
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
             raise TranscriptionError(
@@ -200,8 +205,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time, None if it is not usable.
 
-        A usable rule returns the model's values at the declared times, except for fixed values. The
-        function raises a `TranscriptionError` where the rule fails.
+        A usable rule returns the variable's current value at each declared time at which the
+        variable is not fixed. The function raises a `TranscriptionError` where the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -221,8 +226,8 @@ class LiveModel:
     ) -> Callable[[float], float]:
         """Return a component's rule, a callable (block, index) -> value, as a function of time.
 
-        If the rule fails, the function raises a `TranscriptionError`, whose message contains `kind`
-        and `advice`.
+        `slot` gives the index without time. If the rule fails, the function raises a
+        `TranscriptionError`. Its message contains `kind`, which describes the rule, and `advice`.
         """
         block, join = component.parent_block(), self._addresses.join
 
@@ -248,15 +253,15 @@ class LiveModel:
         return component[slot.index if len(slot.index) > 1 else slot.index[0]]
 
     def signal(self, slot: Slot) -> Callable[[float], float]:
-        """Return a parameter over time as a function of time, from its rule.
+        """Return a parameter over time as a function of time: its rule, or a constant.
 
-        The function raises a `TranscriptionError` where the rule fails.
+        The returned function raises a `TranscriptionError` at times at which the rule fails.
 
         Raises
         ------
         TranscriptionError
-            If a parameter without a rule is not constant, or a rule fails or differs from the
-            model's values.
+            If a parameter without a rule is not constant; or if, at a declared time, the rule fails
+            or does not return the model's value.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -319,10 +324,11 @@ class LiveModel:
         over_time: Mapping[str, Callable[[float], float]],
         once: Mapping[str, float],
     ) -> None:
-        """Write sensitivities of constraints or variables (`kind`) into a Pyomo suffix.
+        """Write derivatives of the objective into a Pyomo suffix.
 
-        They are derivatives of the objective by a constraint's constant side, a variable's bound,
-        or a state. `over_time` maps names without time to functions of time, `once` maps full names
+        `kind` is Constraint for derivatives by a constraint's constant side, and Var for
+        derivatives by a variable's bound or a state. `over_time` maps names without the time, as
+        ``omega[1]``, to functions of time. `once` maps full names of single members, as ``x[0]``,
         to numbers.
         """
         for component in self.model.component_objects(kind, active=True, descend_into=True):
@@ -341,7 +347,8 @@ class LiveModel:
         declared : Declarations
             The model in CasADi symbols: its parameters and variables are those to be copied.
         horizon : (float, float)
-            Times between which functions of time are approximated by polynomials.
+            Start and end of the interval in which parameters over time and rules are approximated
+            by polynomials of time.
         """
         components = list(self.model.component_objects(descend_into=True))
         limits = self.model.component_objects((Var, Constraint), descend_into=True)
@@ -379,8 +386,8 @@ class LiveModel:
     ) -> Interpolant:
         """Return a parameter over time as an `Interpolant` over `horizon`, for pickling.
 
-        Jumps are searched between neighbouring times of `asked`. If the approximation fails, the
-        interpolant has no pieces, and `refusal` says why.
+        Jumps are searched between neighbouring times of `asked`, which rise. If the approximation
+        fails, the interpolant has no pieces, and its `refusal` says why.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -396,8 +403,8 @@ def _as_interpolant(
 ) -> Interpolant:
     """Return a function of time as an `Interpolant` over `horizon`, for pickling.
 
-    Jumps are searched between neighbouring times of `asked`. If the approximation fails, the
-    interpolant has no pieces, and `refusal` says why.
+    `slot` names it in messages. Its jumps are searched between neighbouring times of `asked`, which
+    rise. If the approximation fails, the interpolant has no pieces, and its `refusal` says why.
     """
     try:
         edges = list(jumps(partial(as_reading, function), asked))
@@ -425,7 +432,7 @@ class ModelSnapshot:
     signals, guesses : dict
         Parameters over time, and `initialize` rules, by name.
     schedules : tuple of Interpolant
-        `row` of each `Schedule` or `Phases` object, as functions of time.
+        Data over time of each `Schedule` or `Phases` object, as its method `row` returned them.
     """
 
     times: tuple[float, ...]
@@ -488,5 +495,8 @@ class ModelSnapshot:
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the value of the function `signal` at a time as a `Reading`, for `jumps`."""
+    """Return the value of the function `signal` at a time as a `Reading`, for `schedules.jumps`.
+
+    The value is its only number. The function `jumps` finds the times at which a number jumps.
+    """
     return Reading(None, (signal(time),))

@@ -1,7 +1,9 @@
 """Rules of a model's components: functions that make the members of constraints and expressions.
 
 A clone of a model keeps the rules of the original. This module makes these rules refer to the
-clone's components, and checks that members still agree with their rules.
+clone's components, and checks that members still agree with their rules. The clone has an
+additional time in each continuous set, the template time. Rules are also called at this and other
+times that the user's model does not declare.
 """
 
 from __future__ import annotations
@@ -99,7 +101,8 @@ def initial_rule_of(variable: Any) -> Any:
 def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Raise an error for an indexed constraint or expression whose rule fails at the template time.
 
-    `copy` is the clone of the user's model that has this time.
+    Pyomo leaves out a member without notice if its rule raises a KeyError. `copy` is the clone of
+    the user's model that has this time.
 
     Raises
     ------
@@ -108,8 +111,8 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     """
     for component, rule in _with_rules(copy):
         for index in component.index_set():
-            # Pyomo skips a member whose rule raises a KeyError. At the template time, the
-            # constraint would thus disappear from the nonlinear program without notice.
+            # At the template time, a skipped member would remove the constraint from the nonlinear
+            # program.
             if template_time not in index_tuple(index) or index in component:
                 continue
             try:
@@ -268,7 +271,8 @@ def _global_names(code: CodeType) -> set[str]:
 def refusal(name: str, error: Exception) -> TranscriptionError:
     """Return the error for a rule of the component `name` that fails at an undeclared time.
 
-    The message has the exception of the rule.
+    The time is not a member of the continuous set in the user's model. The message has the
+    exception of the rule.
     """
     return TranscriptionError(
         f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "

@@ -1,11 +1,12 @@
 """Rules that branch on time, as data over time for compiled equations.
 
-A rule that branches on its time, or looks up numbers by it, is called at many times. Results that
-differ in numbers only have the same form. The compiled equations contain all forms. At each
+A rule that branches on its time, or looks up numbers by it, is called at many times. Its results
+have the same form if only numbers in them differ. The compiled equations contain all forms. At each
 collocation point, they read which form applies, and those of its numbers that vary. Bisection finds
 the times at which these data jump.
 
-A pickle stores piecewise polynomials of time instead of the rule.
+Declared times are the members of the continuous set. A pickle stores piecewise polynomials of time
+instead of the rule.
 """
 
 from __future__ import annotations
@@ -125,9 +126,9 @@ class _Form:
 class Schedule:
     """Rule that branches on time, as a few compiled forms and their numbers over time.
 
-    `say` maps a time to the rule's result, and is called beside and between the declared times
-    `times`. `place` maps a time to the time at which `say` is called instead. For example, it can
-    return one time for an interval in which the result is the same.
+    `say` maps a time to the rule's result. To find forms and jumps, it is called between the
+    declared times `times`, and just before and after each. For a result at a time t, ``place(t)``
+    is passed to `say`: for example, one time for an interval in which the result is the same.
 
     Attributes
     ----------
@@ -199,8 +200,8 @@ class Schedule:
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         """Assign the result of a rule to its form, or register the form if it is new.
 
-        A `TranscriptionError` is raised for too many forms. After compilation, it is raised for a
-        new form, or if a compiled constant differs.
+        `found` has form and numbers of `statement`, the result at `time`. A `TranscriptionError` is
+        raised for too many forms; after compilation, for a new form or changed constant.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -234,7 +235,10 @@ class Schedule:
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
-        """Return the result of the method `row` by calling the rule, without a cache."""
+        """Return the values of `slots` at a time, by calling the rule, without a cache.
+
+        The method `row` explains the values.
+        """
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():
@@ -245,9 +249,9 @@ class Schedule:
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
         """Return the parts of the rule's result, as CasADi expressions that hold at all times.
 
-        The parts are lower bound, body and upper bound, or a single expression; `absent` replaces
-        None. `write` translates a Pyomo expression, given an iterator over its numbers or their
-        symbols.
+        The parts are lower bound, body and upper bound, or a single expression. Items of `absent`
+        replace parts that are None. `write` translates a Pyomo expression, given an iterator over
+        replacements of its numbers: symbols of varying numbers, and the numbers that are constant.
         """
         forms = []
         for k, form in enumerate(self._forms.values()):
@@ -267,9 +271,10 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Give forms of a skipped constraint the first other form's body, if the body is linear.
+        """Give forms of a skipped constraint the body of another form, if this body is linear.
 
-        `forms` has lower bound, body and upper bound of each form, and is changed in place.
+        At some times, the rule may skip the constraint. With equal bodies, it can become a bound of
+        a variable. `forms` (lower bound, body, upper bound) is changed in place.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
@@ -336,8 +341,8 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 def probes(times: Sequence[float]) -> list[float]:
     """Return the times inside the horizon at which a rule is called to find its forms and jumps.
 
-    In rising order, there are 64 times spread over the horizon, and one just before and after each
-    of the declared times `times`.
+    `times` are the declared times, including both ends of the horizon. The result has times just
+    before and after each of them, and 64 times spread over the horizon, in rising order.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
@@ -361,7 +366,11 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
 def _jumps_between(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times from `start` to `end` at which a reading jumps, to within `resolution`."""
+    """Yield the times from `start` to `end` at which a reading jumps, to within `resolution`.
+
+    `reading` returns form and numbers of a rule's result at a time. It jumps where the form changes
+    or a number jumps.
+    """
     while reading(start).key != reading(end).key:
         before, after = start, end
         while after - before > resolution:
@@ -377,7 +386,10 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times from `start` to `end` at which a number jumps, to within `resolution`."""
+    """Yield the times from `start` to `end` at which a number jumps, to within `resolution`.
+
+    All numbers of the `reading` are searched. Its form is the same at `start` and at `end`.
+    """
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
     ):
@@ -400,10 +412,11 @@ def _steps(
 
 
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
-    """Return the fraction of the horizon, beside jumps and ends, at which to evaluate parameters.
+    """Return the fraction of the horizon at which to evaluate parameters for the point `fraction`.
 
-    The result is just before a jump, just inside the horizon at 0 and 1, and otherwise `fraction`
-    itself. `jumps_at` are fractions in rising order.
+    If a jump is within 2e-12 of the point, the result is 2e-12 before the jump. At the ends 0 and 1
+    of the horizon, it is 2e-12 inside. Otherwise, it is `fraction` itself. `jumps_at` are fractions
+    in rising order.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)

@@ -2,7 +2,11 @@
 
 A clone of the model has an additional interior time in its continuous set, the template time. The
 member of a constraint at this time is translated to CasADi, and imposed at every collocation point.
-The declared times are the members of the set in the user's own model.
+
+The declared times are the members of the set in the user's own model. A declared time is usually a
+physical time. For a free time, a static variable (variable without time) is the physical time. Free
+times inside the horizon divide it into phases. The fraction of the horizon is 0 at the first and 1
+at the last declared time.
 """
 
 from __future__ import annotations
@@ -39,8 +43,9 @@ class TimeSymbol:
     Attributes
     ----------
     is_read : bool
-        Whether the rule used the number, except in comparisons with `declared` times. The rule's
-        result then does not hold at all times.
+        Whether the rule read `number`, so that its result may not hold at other times. A comparison
+        with one of the times `declared` does not count: its result changes at that time only.
+        Callers that give `declared` call the rule anew between any two of these times.
     """
 
     def __init__(
@@ -124,9 +129,9 @@ class TimeSymbol:
 
 
 def _of_parameter(operation: str) -> Callable[..., Any]:
-    """Return a method of `TimeSymbol` that applies an operation to its parameter.
+    """Return a method of `TimeSymbol` that applies an operation to the symbol's `parameter`.
 
-    The operation is the name of a Pyomo method, such as ``__add__``.
+    `operation` is the name of a method of this Pyomo parameter, such as ``__add__``.
     """
 
     def operate(symbol: TimeSymbol, *others: Any) -> Any:
@@ -144,10 +149,11 @@ for _operation in (
 
 
 class Instant(float):
-    """Time that a rule receives; used as an index, it selects variables at the template time.
+    """Number `time` that a rule receives as its time; as an index, it is the time `template`.
 
-    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. As for an index,
-    ``t == 2`` compares the template time.
+    In arithmetic, and in a comparison by <, <=, > or >=, its value is `time`. An index such as
+    ``m.x[t]`` selects the variable at the template time. Pyomo looks up an index by equality, so
+    ``t == 2`` compares `template` with 2.
     """
 
     __slots__ = ("template",)
@@ -179,7 +185,8 @@ RegisterNumericType(Instant)
 class _TrapezoidProbe:
     """Stand-in for the block of an integral: its continuous set consists of two equal times.
 
-    The rule of a `pyomo.dae.Integral` then returns the integrand: see `integrand`.
+    The rule of a `pyomo.dae.Integral` sums trapezoids between these times. Both are `symbol`, whose
+    difference from itself is defined as 1. The trapezoid's area is therefore the integrand.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -207,8 +214,10 @@ def time_parameter() -> Any:
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     """Return the integrand of a `pyomo.dae.Integral` at a time, as a Pyomo expression.
 
-    The variables in it are those at the template time. `symbol` is a `TimeSymbol` for all times, or
-    an `Instant` for one time.
+    `index` is the integral's index, None without one. The variables in the result are those at the
+    template time, which stand for functions of time. `symbol` takes the place of time in the
+    integral's rule. If it is a `TimeSymbol`, the result holds at all times. If it is an `Instant`,
+    numbers that the rule computes from time are those at this instant.
     """
     # `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. The
     # rule is called for a single trapezoid: both ends are `symbol`, and its width is defined as 1.
@@ -369,8 +378,8 @@ class Slot:
 class PathEquation:
     """Constraint lower <= expression <= upper that is imposed at every collocation point.
 
-    The CasADi expressions contain the variables at a collocation point, the fraction of the
-    horizon, and the parameters.
+    The CasADi expressions contain the variables at a collocation point and the parameters. They may
+    also contain the fraction of the horizon, which is 0 at its start and 1 at its end.
     """
 
     name: str
@@ -446,7 +455,8 @@ class Declarations:
     parameters, signals : tuple of Slot
         Parameters without time, and parameters over time.
     scheduled : tuple of Slot
-        Other data over time: the phase, and data of rules that branch on time.
+        Other data over time: data of rules that branch on time, and for each phase of the horizon
+        (part between free times) a factor, which is 1 in the phase and 0 elsewhere.
     clock : PhaseTimes
         Physical times of start, end and free times in CasADi symbols.
     equations : tuple of PathEquation
@@ -466,6 +476,7 @@ class Declarations:
     objective_name : str
         "" if there is no objective.
     has_horizon : bool
+        Whether the model has a continuous set, and thus variables over time.
     table_uses : tuple of TableUse
     """
 
@@ -518,15 +529,18 @@ class SymbolTable:
     """Table of the CasADi symbols of a model's variables and parameters, each made at first use.
 
     The symbol of a variable at the template time stands for a function of time. The symbol at any
-    other time stands for the value at that time.
+    other time stands for the value at that time. An `Address` identifies a member of a component by
+    the component's name, the index without time, and the time.
 
     Parameters
     ----------
     copy : WorkingCopy
         Clone of the model with the template time.
     addresses : AddressBook
+        Returns the `Address` of a component's member.
     free : mapping
-        Declared time -> static variable for its physical time.
+        Free time (declared time whose physical time is unknown before the solve) -> static variable
+        for its physical time.
     statics : dict
         Static variables by name, shared by several horizons; new ones are added.
     """
@@ -580,7 +594,8 @@ class SymbolTable:
     def _horizon(self, name: str, time: float) -> Any:
         """Return the symbol of a new parameter `name` for the physical start or end of the horizon.
 
-        For a model without a continuous set, the result is the number `time`.
+        If the model has no continuous set, the result is the number `time` instead. Otherwise,
+        `time` is not used.
         """
         if self._copy.time is None:
             return casadi.SX(time)
@@ -629,7 +644,10 @@ class SymbolTable:
         return table[name].symbol
 
     def fixed_value(self, data: Any) -> Any:
-        """Return the symbol, made at first use, of a parameter with a fixed variable's value."""
+        """Return the symbol of a parameter that has the value of the fixed variable `data`.
+
+        The parameter is made at first use.
+        """
         # As a parameter, the value can change between solves without another compilation.
         return self._scalar(self.parameters, data, f"{data.name} (fixed)")
 
@@ -658,9 +676,10 @@ class SymbolTable:
         return said is symbol
 
     def _signal(self, data: Any, address: Any) -> Any:
-        """Return the symbol of a parameter over time, or of its value at one time.
+        """Return the symbol of the member `data` of a parameter over time, with its `Address`.
 
-        For a rule as ``lambda m, t: t``, the result is the expression of physical time.
+        At the template time, it stands for a function of time, else for a value. For a rule as
+        ``lambda m, t: t``, the result expresses physical time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)
@@ -687,6 +706,7 @@ class SymbolTable:
     def _varying(self, data: Any, address: Any) -> Any:
         """Return a variable over time, or its time derivative, in CasADi symbols.
 
+        `data` is the member of the Pyomo variable or derivative, and `address` its index and time.
         An algebraic variable that is fixed at all declared times becomes a parameter.
         """
         component = data.parent_component()
@@ -710,7 +730,8 @@ class SymbolTable:
     def _slot(self, variable: Any, address: Any) -> Slot | None:
         """Return the `Slot` (symbol and bounds) of a variable over time, made at first use.
 
-        The result is None for an algebraic variable that is fixed at all declared times.
+        `variable` is the Pyomo component. Of `address`, only the index without time is used. The
+        result is None for an algebraic variable that is fixed at all declared times.
         """
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):

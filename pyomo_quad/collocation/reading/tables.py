@@ -1,7 +1,7 @@
 """Interpolation tables and external functions in Pyomo models, and their CasADi expressions.
 
-An interpolation table is a function that is given by its values on a grid. An external function is
-a function in Python that a Pyomo model calls.
+An external function is a function, usually in Python, that a Pyomo model calls. An interpolation
+table (`Table`) is an external function that is given by its values on a grid.
 """
 
 from __future__ import annotations
@@ -246,9 +246,10 @@ class TableUse:
 def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUse]) -> Any:
     """Return the CasADi expression of the call `node` of an external function in a Pyomo model.
 
-    A `Table`, and a function that needs numbers (see `_sampled`), become a spline, whose arguments
-    are added to `uses`. Any other Python function becomes the expression that it returns for
-    symbols. `owner` is for messages. If sampling fails, a `TranscriptionError` is raised.
+    `arguments` are the CasADi expressions of the call's arguments. A `Table`, and a function that
+    needs numbers (see `_sampled`), become a spline, whose arguments are added to `uses`. Any other
+    Python function becomes the expression that it returns for symbols. `owner` is the name of the
+    component with the call, for messages. If sampling fails, a `TranscriptionError` is raised.
     """
     function = node._fcn  # noqa: SLF001
     is_python = isinstance(function, PythonCallbackFunction)
@@ -280,8 +281,8 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return the CasADi expression of a Python function's call, None if the function needs numbers.
 
-    Expression and function must agree at 20 random points between the bounds of the arguments
-    `stated`.
+    `inputs` are the call's arguments in CasADi, `stated` the same in Pyomo. At 20 random points
+    between the bounds of `stated`, both must agree. Otherwise, the result is None.
     """
     if function._fcn is None:  # noqa: SLF001
         return None
@@ -312,7 +313,10 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 
 
 def _range(argument: Any) -> tuple[float, float]:
-    """Return the bounds of a Pyomo expression, or (0.1, 0.9) if one of them is missing."""
+    """Return the bounds of a Pyomo expression, or (0.1, 0.9) if one of them is missing.
+
+    `_symbolic` compares a function with its expression at random points of this range.
+    """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
 
@@ -320,8 +324,8 @@ def _range(argument: Any) -> tuple[float, float]:
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     """Return the spline through samples of a function that can only be called with numbers.
 
-    A `TranscriptionError` is raised for more than two arguments, an argument without finite bounds,
-    a failure of the function, or a lack of accuracy.
+    Samples lie between the bounds of `stated`, the arguments in Pyomo. A `TranscriptionError` is
+    raised for more than two arguments, missing bounds, failure of the function, or low accuracy.
     """
     name = function.name
     if len(stated) not in _SAMPLES:

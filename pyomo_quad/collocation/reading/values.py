@@ -92,7 +92,10 @@ class Instance:
 class ModelValues:
     """Values of the parameters and variables in a Pyomo model, to read and to write.
 
-    The results have the order in which the compiled equations expect the parameters and variables.
+    Methods that return a sequence of values use the order that the compiled equations expect. A
+    free time is a member of the continuous set whose physical time is a variable. The argument
+    `overrides` has the caller's parameter values, by component or full name. The argument `horizon`
+    is the physical start and end of the horizon.
 
     Parameters
     ----------
@@ -120,13 +123,14 @@ class ModelValues:
     ) -> FloatArray:
         """Return the values of the parameters without time, shape (n_parameters,).
 
-        Values in `overrides` (see `by_name`) replace those of the model. `horizon` is by default
+        Values in `overrides` replace those of the model. Start and end of the horizon are
+        parameters, too, unless they are free times. `horizon` gives their values; by default, it is
         the range of the continuous set.
 
         Raises
         ------
         TranscriptionError
-            If a parameter has no value, or an override is refused.
+            If a parameter has no value, or if `by_name` raises the error for `overrides`.
         """
         named = self.by_name(overrides)
         start, end = horizon or self.declared_horizon
@@ -174,7 +178,9 @@ class ModelValues:
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
         """Return the value of one parameter without time.
 
-        The value comes from `ends`, `named` or the model, in this order.
+        `ends` has start and end of the horizon under the names of their parameters. `named` has the
+        caller's values by full name. The value comes from `ends`, `named` or the model, in this
+        order.
         """
         if slot.name in ends:
             return ends[slot.name]
@@ -185,15 +191,17 @@ class ModelValues:
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
         """Return the time-dependent data as a function of the fraction of the horizon.
 
-        The data are the parameters over time, then the values of `Declarations.scheduled`; at a
-        jump, those just before it.
+        The data are the parameters over time, then the values of `Declarations.scheduled`. The
+        latter are data of rules that branch on time, and indicators of the phases. At a jump, the
+        values are those just before it. `instance` has the caller's parameter values and the
+        horizon.
 
         Raises
         ------
         TranscriptionError
-            If a parameter has no override, and `LiveModel.signal` refuses its values in the model.
-            The returned function raises it if a rule fails or returns an expression that was not
-            compiled.
+            If a parameter over time that the caller did not give has no rule and is not constant,
+            or if its rule fails or differs from its values in the model. The returned function
+            raises the error if a rule fails or returns an expression that was not compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -220,8 +228,10 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the rising fractions of the horizon at which time-dependent data may jump.
 
-        These include the declared times inside the horizon, but no steps of a `Steps` object.
-        Without time-dependent data, the result is empty.
+        These include the declared times inside the horizon. An override that is a `Steps` object, a
+        piecewise constant function, contributes no jumps: simulations restart at its steps instead.
+        Without time-dependent data, the result is empty. `horizon` is by default the range of the
+        continuous set.
         """
         if not self._declared.has_signals:
             return ()
@@ -240,7 +250,8 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return start and end of the range of times with which rules of the model are called.
 
-        With free times, it is the range of the continuous set. Otherwise it is `horizon`.
+        If some times are free (their physical times are variables), it is the range of the
+        continuous set. Otherwise it is `horizon`.
         """
         # With free times, the physical times are unknown.
         found = self.declared_horizon if self._declared.clock.is_free else horizon
@@ -262,7 +273,8 @@ class ModelValues:
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        Values from the caller, given by full name, take precedence over the rules in the model.
+        `slot` identifies the parameter. `named` has the caller's values by full name, which take
+        precedence over the rules in the model.
         """
         if slot.name in named:
             given = named[slot.name]
@@ -358,8 +370,8 @@ class ModelValues:
     def snapshot(self) -> ModelSnapshot:
         """Return the model's current values, for a pickle.
 
-        Functions of time become piecewise polynomials over the times of the continuous set and of
-        all solves so far.
+        Functions of time become piecewise polynomials. Their range contains the continuous set and
+        the horizons of all solves so far.
         """
         return self._source.snapshot(self._declared, self._widest)
 

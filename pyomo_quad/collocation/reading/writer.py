@@ -3,6 +3,11 @@
 Equations over time are translated at the template time, an interior time added to the continuous
 set. The symbols in a translation stand for functions of time, so the translation holds at all
 times.
+
+The declared times are the members of the set in the user's own model. A declared time is usually a
+physical time. For a free time, a static variable (variable without time) is the physical time,
+which is unknown before the solve. A `Slot` is a scalar variable or parameter with its CasADi
+symbol. An `Address` identifies a component's member by name, index without time, and time.
 """
 
 from __future__ import annotations
@@ -234,6 +239,10 @@ _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 class TemplateWriter:
     """Translator of a model's components to CasADi expressions, for all times.
 
+    Private methods call a component's rule by `say`, which maps a time to a `Statement`. The time
+    is an `Instant` or a `TimeSymbol`. A `Statement` is the rule's result: bounds and body of a
+    constraint, or a single Pyomo expression. `name` is the component's name, for messages.
+
     Parameters
     ----------
     copy : WorkingCopy
@@ -291,8 +300,9 @@ class TemplateWriter:
     ) -> PathEquation | None:
         """Return a constraint over time as a `PathEquation`: lower <= expression <= upper.
 
-        `instance` is its member at the template time, or None. The result is None if the rule skips
-        all times between the declared ones, or there is neither rule nor member.
+        `index` is without time. `instance` is the constraint's member with this index at the
+        template time; None if it has none. The result is None if the rule skips all times between
+        the declared ones. It is also None if the constraint has neither a rule nor this member.
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -315,7 +325,7 @@ class TemplateWriter:
         )
 
     def bounds_over_time(self, slot: Slot) -> tuple[Any, Any]:
-        """Return lower and upper bound of a variable over time as CasADi expressions."""
+        """Return lower and upper bound of the variable `slot` over time as CasADi expressions."""
         variable = self.copy.model.find_component(slot.component)
         rule, changed = bounds_rule_of(variable), self.changed_bounds(slot)
         if rule is None or changed is not None:
@@ -381,9 +391,10 @@ class TemplateWriter:
         return variable[self.addresses.join(variable, slot.index, time)]
 
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
-        """Return the parts of a rule's result at all times, and whether it is an equality.
+        """Return the parts of a rule's result in CasADi, and whether it is an equality.
 
-        The parts are the bounds and the body of a constraint, or a single expression.
+        The parts hold at all times: bounds and body of a constraint, or a single expression. `say`
+        maps a time to the rule's result. `name` is the component's name.
         """
         symbol = TimeSymbol(self.copy.template_time, self._clock)
         statement = _attempt(say, symbol)
@@ -405,9 +416,10 @@ class TemplateWriter:
         return schedule.written(write, _ABSENT), schedule.is_equality
 
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
-        """Call a component's rule at one time, and return the result of the rule.
+        """Call a component's rule at one time through `say`, and return the result of the rule.
 
-        A `TranscriptionError` is raised if the rule fails, or uses a free time as a number.
+        `say` receives an `Instant`, in a model with free times a `TimeSymbol`. A
+        `TranscriptionError` is raised if the rule fails, or needs a `TimeSymbol` as a number.
         """
         template = self.copy.template_time
         if self.symbols.clock.is_free:
@@ -431,13 +443,15 @@ class TemplateWriter:
     def at_instant(self, data: Any) -> Any:
         """Return a constraint's member at a declared time, with the physical time as a symbol.
 
-        For example, the member of ``m.x[t] == t`` contains the symbol instead of a number. Without
-        a rule, or if its physical time depends on no free time, the member is returned unchanged.
+        For example, the member of ``m.x[t] == t`` then contains the symbol instead of a number. The
+        member is returned unchanged if the constraint has no rule. It is also unchanged if the
+        physical time depends on no free time, so that it is a known number.
 
         Raises
         ------
         TranscriptionError
-            If the rule uses such a physical time as a number.
+            If the rule needs the time as a number although its physical time depends on a free
+            time.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -485,13 +499,17 @@ class TemplateWriter:
         return 0.5 * (declared[after - 1] + declared[after])
 
     def _part(self, part: Any, name: str, absent: Any) -> Any:
-        """Return the CasADi expression of a bound or a body, or `absent` if it is None."""
+        """Return the CasADi expression of a constraint's bound or body, or `absent` if it is None.
+
+        `name` is the name of the constraint, for messages.
+        """
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
-        """Translate a Pyomo expression to CasADi, with given replacements of its numbers.
+        """Translate a Pyomo expression to CasADi, with a replacement for each constant in it.
 
-        `numbers` yields the replacements in the order in which the numbers appear.
+        `numbers` yields the replacements in the order of the constants. A number that varies with
+        time is replaced by a symbol, any other by itself. `name` is the component's name.
         """
         if part.__class__ in native_types:
             return next(numbers)
@@ -536,6 +554,7 @@ class TemplateWriter:
         """Return a Pyomo variable or parameter in CasADi symbols.
 
         A TranscriptionError is raised for a value at a declared time inside an equation over time.
+        Declared times are the members of the user's continuous set.
         """
         if data is self._clock:
             return self.symbols.clock.time
@@ -554,9 +573,11 @@ class TemplateWriter:
         return symbol
 
     def named(self, expression: Any) -> Any:
-        """Return the replacement of a named Pyomo expression or integral, in CasADi symbols.
+        """Return the CasADi expression that replaces a named Pyomo expression or an integral.
 
-        The result is None if the definition of the expression is translated instead.
+        An integral over this horizon is replaced by its symbol. A named expression at the template
+        time is replaced by the translated result of its rule. In all other cases, and without a
+        rule, the result is None: the definition of the expression is then translated.
         """
         component = expression.parent_component()
         if component is None:
@@ -585,9 +606,10 @@ class TemplateWriter:
         return self._by_rule[name]
 
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
-        """Return a parameter over time as a CasADi expression of time.
+        """Return a parameter, in a model with free times, as a CasADi expression.
 
-        At a declared time, its value is returned. Without a rule, the result is a symbol.
+        A rule over time is translated. Depending on `address`, the result is then a function of
+        time or the value at a declared time. Otherwise, it is a symbol.
         """
         component = data.parent_component()
         rule = rule_of(component)
@@ -639,7 +661,10 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 
 
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
-    """Raise an error for a rule that uses its time as a number in a model with free times."""
+    """Raise an error for a rule that uses its time as a number in a model with free times.
+
+    `error` is the exception with which the rule failed, if it failed.
+    """
     # Physical times are unknown when the rules are called. Only comparisons with declared times are
     # allowed.
     told = "" if error is None else f" ({raised(error)})"
@@ -650,7 +675,10 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Return a rule's result with Pyomo parameters in place of parts that are a `TimeSymbol`."""
+    """Return a rule's result, with each part that is a `TimeSymbol` replaced by a Pyomo parameter.
+
+    The `TimeSymbol` takes the place of time in the rule. The parameter stands for physical time.
+    """
     # Inside expressions, Pyomo has already put the parameter in place of the symbol.
     # The symbol is no Pyomo object.
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)

@@ -4,6 +4,10 @@ If equations and objective depend linearly on a control, its value at a single c
 hardly affects the objective. Without damping, the control oscillates from point to point (chatter),
 and changes from mesh to mesh. Damping is a penalty on the distance from the smoothed control of the
 previous mesh: see docs/theory/refinement.md, eq. (9).
+
+The complementarity gap is the error that Ipopt's barrier leaves in the objective. A damped solve
+may stop at a larger gap than usual. If many controls have nearly the same objective, they then
+change less from mesh to mesh.
 """
 
 from __future__ import annotations
@@ -43,7 +47,8 @@ class Damping:
         The penalty is ``price / 2`` times the mean over the horizon of ``(control - smoothed
         control)**2``.
     gap : float
-        `program.ipopt.barrier_gap` at the end of the next solve; 0 for Ipopt's usual one.
+        Complementarity gap at which the next solve is to stop, in the unit of the objective. With
+        0, it stops at Ipopt's usual gap.
     is_still : bool
         Whether the objective hardly changes from mesh to mesh any more.
     """
@@ -68,7 +73,8 @@ class Damping:
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return a stronger damping, with penalties multiplied by `factor` and `is_still` set.
 
-        The attribute `gap` becomes at least `gap` times the nominal magnitude of the objective.
+        With so strong a penalty, the objective is expected to hardly change. The attribute `gap` of
+        the result is at least the argument `gap` times `Solution.nominal_objective`.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -137,8 +143,20 @@ def damping_of(
     """Return the damping on the next mesh of bounded controls that enter nearly linearly.
 
     For a control that always differs from the smoothed control by its whole range, the penalty is
-    `weight` times the objective's nominal magnitude. `gap` is relative to this magnitude, too.
-    The result is None if no control is damped and `gap` is 0.
+    `weight` times `solution.nominal_objective`. If no control is damped, the result only sets the
+    gap of the next solve. If `gap` is 0, too, the result is None.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution on the present mesh.
+    weight : float
+        Strength of the penalty.
+    gap : float, optional
+        Complementarity gap at which the next solve is to stop, relative to
+        `solution.nominal_objective`; 0 for Ipopt's usual gap.
+    is_still : bool, optional
+        Whether the objective hardly changes from mesh to mesh any more.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower

@@ -2,6 +2,10 @@
 
 The effects are those on the objective and on the final states. Derivations: see
 docs/theory/refinement.md, eqs. (1) to (3).
+
+Path equations are all constraints over time. The nominal magnitude of the objective is
+`Solution.nominal_objective`. The argument `moved` has one array for each element: the errors of the
+states at several times. The last of these times is the element's end.
 """
 
 from __future__ import annotations
@@ -85,26 +89,28 @@ _START = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Tolerances for a flight with the controls of a solution in open loop.
+    """Tolerances of the error estimate for a simulated flight with the controls of a solution.
 
-    In open loop, the controls are functions of time, without feedback from the measured states.
+    The flight is in open loop: the controls are functions of time, without feedback from the
+    states. If feedback corrects the controls before or during the flight, `state_error` is given.
 
     Attributes
     ----------
     control_breach : float
         Tolerable violation of a control's bound between the collocation points, relative to max(1,
-        abs(bound)). If it is exceeded, the control is clipped to the bound widened by it, and the
-        effect of clipping counts as error. A smaller violation counts by its effect on the states.
-        A bound that varies with time clips no control.
+        abs(bound)). If a violation exceeds it, the control is clipped to the bound widened by it.
+        The error estimate then includes the effect of clipping on the states. A smaller violation
+        enters the estimate by its effect on the states. A bound that varies with time clips no
+        control: a larger violation of it enters the estimate itself.
     limit_breach : float
         Tolerable violation of any other limit, relative to max(1, abs(limit)). A larger violation
-        counts itself as error, a smaller one counts by its effect on the objective.
+        enters the error estimate itself, a smaller one by its effect on the objective.
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
         Tolerance on errors of the states between the points, relative to the states' magnitudes. By
-        default, it is the tolerance of the refinement. If a simulation with feedback follows, a
-        larger value suffices. Residuals of algebraic equations may then be ten times the value.
+        default, it is the tolerance of the refinement. With feedback, a larger value suffices. With
+        such a value, residuals of algebraic equations may be ten times as large as the value.
     """
 
     control_breach: float = np.inf
@@ -127,7 +133,8 @@ class ErrorEstimate:
     states : ndarray, shape (n_elements, n_states)
         Largest error of each state, relative to `state_sizes`.
     violation : ndarray, shape (n_elements,)
-        Violation of path equations and bounds, or its effect: see `_breaches`.
+        Largest violation of path equations and bounds between the collocation points. A violation
+        within its tolerance in `Allowance` is replaced by its effect on states or objective.
     objective : ndarray, shape (n_elements,)
         Effect of the state errors on the objective.
     switches : ndarray, shape (n_elements,)
@@ -135,7 +142,8 @@ class ErrorEstimate:
     costs : ndarray, shape (n_elements,)
         Twice `objective`, relative to the objective itself.
     restraint : ndarray, shape (n_elements,)
-        Twice the cost of bounds imposed between the points.
+        Twice the increase of the objective by those bounds that the solve imposed between the
+        points; zero if there were none.
     integrals : ndarray, shape (n_elements,)
         Largest quadrature error of objective and integrals.
     miss : ndarray, shape (n_elements,)
@@ -143,7 +151,7 @@ class ErrorEstimate:
     gap : float
         Complementarity gap, relative to the objective.
     is_clipped : ndarray of bool, shape (n_elements,)
-        Whether a control is clipped in the element.
+        Whether a control is clipped in the element: see `Allowance.control_breach`.
     """
 
     # If the states or final states have their own tolerance, `states` or `miss` are multiplied by
@@ -204,9 +212,18 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the errors of a solution between its collocation points, element by element.
 
-    With a tolerance `state_error` or `final_miss` in `allowance`, the errors of the states or final
-    states are multiplied by ``tolerance / own tolerance``. For the estimates, see
-    docs/theory/refinement.md, "Error estimation".
+    For the estimates, see docs/theory/refinement.md, "Error estimation".
+
+    Parameters
+    ----------
+    solution : Solution
+    tolerance : float
+        Tolerance of the mesh refinement, with which all errors of the result are to be compared.
+        The errors `switches` and `costs` are estimated only if those in all elements meet it.
+    allowance : Allowance, optional
+        Other tolerances. If `state_error` is given, the errors of the states are multiplied by
+        ``tolerance / state_error``. Errors of the final states are multiplied by ``tolerance /
+        final_miss``, which is zero by default.
     """
     allowance = allowance or Allowance()
     finer, free, panels = _sampled(solution, _finer_places, _dense_places, _panelled_places)
@@ -330,7 +347,10 @@ def _finer_places(degree: int) -> FloatArray:
 
 
 def _panelled_places(degree: int) -> FloatArray:
-    """Return the points of the finer quadrature rule from `_panelled` in an element from 0 to 1."""
+    """Return the points of the quadrature rule `_panelled` in an element from 0 to 1.
+
+    `degree` is the degree of the element.
+    """
     return _panelled(degree)[0]
 
 
@@ -338,7 +358,8 @@ def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     """Return the state errors if algebraic variables are evaluated by their polynomials.
 
     In contrast, `estimate_error` evaluates an algebraic variable by the equation that defines it.
-    The errors are relative to `state_sizes`, shape (n_elements, n_states).
+    The result has the shape (n_elements, n_states). Each error is relative to the largest magnitude
+    of the state, from `state_sizes`.
     """
     # For example, ``r + r^3 = f`` defines r, which enters ``x' = r``. Between the collocation
     # points, r has two values: the solution of the equation, and the value of its polynomial.
@@ -352,8 +373,8 @@ def _sampled(
 ) -> list[_Samples]:
     """Evaluate the path equations on several grids at once, and return the samples of each grid.
 
-    A grid maps the degree of an element to times from 0 to 1 in the element, the last of which is
-    1.
+    A grid maps an element's degree to times up to 1, its end. With `is_defined`, equations that
+    define algebraic variables are solved. Otherwise, their polynomials are evaluated.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     places = [grid(d) for grid in grids for d in mesh.degrees]
@@ -429,9 +450,10 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
 def _clipping_corrections(
     solution: Solution, free: _Samples, clipped: _Samples, is_clipped: NDArray[np.bool_]
 ) -> dict[int, FloatArray]:
-    """Return the change of the states at the end of each element in which a control is clipped.
+    """Return how much the clipping of controls changes the states at the end of each element.
 
-    `free` and `clipped` are dense samples with the controls before and after clipping.
+    The keys of the result are the elements in which `is_clipped` is True. `free` and `clipped` are
+    dense samples with the controls before and after clipping.
     """
     if not np.any(is_clipped):
         return {}
@@ -449,9 +471,10 @@ def _clipping_corrections(
 
 
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
-    """Return the largest error of each state in each element, relative to the state's magnitude.
+    """Return the largest error of each state in each element, shape (n_elements, n_states).
 
-    `moved` comes from `_state_corrections`. The shape is (n_elements, n_states).
+    It is relative to the state's largest magnitude, from `state_sizes`. `moved` has the errors of
+    the states, from `_state_corrections`.
     """
     return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
 
@@ -469,7 +492,7 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    It is relative to the objective's nominal magnitude, and extrapolated: see
+    It is relative to the objective's nominal magnitude, and extrapolated to the whole horizon: see
     docs/theory/refinement.md, eq. (2). `moved` comes from `_state_corrections`.
     """
     mesh = solution.mesh
@@ -481,10 +504,11 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 
 
 def _restraints(solution: Solution) -> FloatArray:
-    """Return the cost of bounds between the collocation points, shape (n_elements,).
+    """Return the cost of bounds that were imposed between the points, shape (n_elements,).
 
-    It is divided by the nominal magnitude of the objective and by `_RESTRAINT_SHARE`, and
-    extrapolated.
+    The cost is their estimated increase of the objective, from `Solution.restraint`. It is divided
+    by the objective's nominal magnitude and by `_RESTRAINT_SHARE`. `_of_all` extrapolates it to the
+    whole horizon.
     """
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
@@ -494,8 +518,8 @@ def _restraints(solution: Solution) -> FloatArray:
 def _of_all(shares: FloatArray) -> FloatArray:
     """Return each element's error extrapolated to the whole horizon of n elements.
 
-    The result is ``min(n * error, sum of the errors of all elements)``: see
-    docs/theory/refinement.md, eq. (2).
+    `shares` has the error of each element alone. The result is ``min(n * error, sum of the errors
+    of all elements)``: see docs/theory/refinement.md, eq. (2).
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -503,7 +527,9 @@ def _of_all(shares: FloatArray) -> FloatArray:
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
-    The errors are extrapolated to the whole horizon. `samples` belong to the rule of `_panelled`.
+    The finer quadrature rule `_panelled` uses `samples`. Its integrals are compared with those of
+    the collocation points. Errors are relative to max(1, abs(integral)), or to the objective's
+    nominal magnitude. `_of_all` extrapolates them.
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -544,10 +570,10 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return the share of each element in the error of the final states, shape (n_elements,).
+    """Return a measure of each element's effect on the final states, shape (n_elements,).
 
-    For the final state with the largest error, it is ``weight * error * contribution / largest
-    contribution``, with the contributions of the elements to this error.
+    For the worst final state, it is ``weight * error * contribution / largest contribution``. An
+    element's contribution is the effect of its state errors. The error is the sum of contributions.
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -563,8 +589,8 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    Residuals of equations are multiplied by `weight`. A violation within its tolerance counts by
-    its estimated effect on the states or the objective, any other counts itself.
+    All violations are relative. Residuals of equations are multiplied by `weight`. A violation
+    within its tolerance in `allowance` counts by its estimated effect on states or objective.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

@@ -95,7 +95,8 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control and the Hamiltonian for them, shape (n_points,) each.
 
-    `at` maps control values to the Hamiltonian; both have one item for each collocation point.
+    The values are equally spaced between the bounds. Minima of parabolas through local minima among
+    them follow. `at` maps control values at the collocation points to the Hamiltonian there.
     """
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
@@ -116,7 +117,8 @@ def _valleys(
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
     """Return the free controls for which the Hamiltonian may have several local minima.
 
-    The result has indices of algebraic variables. For free controls, see `_free_controls`.
+    The result has indices of algebraic variables. For free controls, see `_free_controls`. The
+    bounds `lower` and `upper` of all algebraic variables have the shape (n_points, n_algebraics).
     """
     program = solution.program
     free = _free_controls(program, lower, upper)
@@ -162,9 +164,9 @@ def _free_controls(
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
     """Return the Hamiltonian at the collocation points, up to a constant that no control changes.
 
-    It is infinite where a path inequality is violated or the Hamiltonian is undefined.
+    `variables` has one row per point: rates, states, algebraic and static variables. The result is
+    infinite where a path inequality is violated or the Hamiltonian is undefined.
     """
-    # `variables` has one row per point: rates, states, algebraic and static variables.
     program = solution.program
     compiled, count = program.compiled, len(variables)
     data = program.data.at_points()
@@ -202,9 +204,18 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    `before` is the solution on the previous mesh, given if limits become active or inactive inside
-    elements. `change` is the relative change of the objective since the previous mesh, or an
-    earlier one that met the tolerance.
+    The result is the largest of several estimates, for the worst state.
+
+    Parameters
+    ----------
+    solution : Solution
+    error : ErrorEstimate
+    before : Solution or None
+        Solution on the previous mesh, for its difference from `solution`. It is given only if
+        limits become active or inactive inside elements.
+    change : float
+        Relative change of the objective, for the estimate on singular arcs. It is the smallest of
+        the changes since the previous mesh and since earlier meshes that met the tolerance.
     """
     # The result is the largest of several estimates. The first two are the largest error of the
     # solution, and twice the sum of a state's errors over all elements, for the worst state.
@@ -313,9 +324,10 @@ def _is_between(solution: Solution) -> NDArray[np.bool_]:
 def _free_directions(
     program: Transcription, z: FloatArray, points: NDArray[np.intp], scale: FloatArray
 ) -> FloatArray:
-    """Return a basis of the changes of rates and controls that keep all equations satisfied.
+    """Return a basis of changes of rates and algebraic variables that keep the equations satisfied.
 
-    The states do not change. The result has shape (n_points, n_free, n_rates + n_algebraics).
+    The states do not change. The result has shape (n_points, n_free, n_rates + n_algebraics), with
+    n_free changes at each point. Changes are divided by `scale`, the variables' magnitudes.
     """
     n, rows = program.layout.n_states, np.flatnonzero(program.compiled.is_equality)
     chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]

@@ -2,11 +2,14 @@
 
 Terms (see docs/theory/refinement.md):
 
-- Damping: penalty on changes of controls since the previous mesh, if they enter linearly.
+- Damping: penalty on changes of controls since the previous mesh. Only controls on which equations
+  and objective depend nearly linearly are damped.
 - Complementarity gap: error that Ipopt's barrier leaves in the objective, eq. (16).
 - Settled objective: its relative change since the previous mesh, or since an earlier mesh that met
   the tolerance, is at most half the tolerance.
 - Restart: new start of the refinement from controls with a lower Hamiltonian.
+- Nominal magnitude of the objective: `Solution.nominal_objective`.
+- Strategy: way to solve on a mesh, for example from the previous solution or with stronger damping.
 """
 
 from __future__ import annotations
@@ -79,10 +82,27 @@ def refine(
     """Solve on finer meshes until the error estimate meets the tolerance.
 
     If controls are damped, or limits become active or inactive inside an element, the objective
-    must have settled. This does not apply before a simulation with feedback. A result that falls
-    short has `Status.TOLERANCE_NOT_MET` or its last solve's status.
+    must have settled, too. This does not apply if `refinement.allowance` has a `state_error`: a
+    simulation with feedback then follows. A result that falls short has
+    `Status.TOLERANCE_NOT_MET` or its last solve's status.
+
+    Parameters
+    ----------
+    solve : callable
+        Called as solve(meshes, start, dampings, change=, iteration_limit=); returns the solution.
+        `change` is the expected change of the objective, None if unknown. `iteration_limit` is the
+        largest number of Ipopt's iterations.
+    meshes : tuple of Mesh
+        First meshes, one for each horizon.
+    tolerance : float
+    refinement : RefinementOptions
+    start : Start
+        Start of the first solve.
+    past_the_barrier : callable, optional
+        Called as past_the_barrier(dampings, solution) if Ipopt's barrier limits the accuracy of a
+        solution. Returns a solution on the same meshes with a smaller complementarity gap.
+        `dampings` has one item for each horizon, None without damping.
     """
-    # For `solve` and `past_the_barrier`, see `_Refinement`.
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
     )
@@ -238,8 +258,8 @@ class _Refinement(Generic[S]):
     ) -> None:
         """Prepare the next solve, after a solution that is not accurate enough.
 
-        `finer` are the next meshes, one for each horizon. `is_damped` states whether the present
-        solve damped controls.
+        `finer` are the next meshes, one for each horizon. `is_damped` states whether the solve that
+        led to `solution` damped controls.
         """
         self.settled += is_damped and self._has_settled(solution)
         # Controls count as stalled if the objective has been settled on several damped meshes.
@@ -308,7 +328,11 @@ class _Refinement(Generic[S]):
     def _next_meshes(
         self, solution: Outcome, errors: tuple[ErrorEstimate, ...], *, is_damped: bool
     ) -> tuple[Mesh, ...] | None:
-        """Return the next meshes, one for each horizon, or None if the refinement may end."""
+        """Return the next meshes, one for each horizon, or None if the refinement may end.
+
+        `is_damped` states whether the solve that led to `solution` damped controls. Unless a
+        simulation with feedback follows, the objective must then settle first.
+        """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
         is_met = all(error.largest <= self.tolerance for error in errors)
@@ -381,8 +405,9 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        It is 0.3 times the largest relative error of objective and integrals. The limits are 0.2
-        times the tolerance and 1e-3.
+        It is 0.3 times the largest error of objective and integrals. With bounds between the
+        points, the objective's last change counts, too. It is at most 1e-3, at least 0.2 times the
+        tolerance.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -406,9 +431,10 @@ def _firmer(firmness: float, settled: int) -> float:
 
 @dataclass
 class _MeshSolve(Search[S], Generic[S]):
-    """Search for the solution on the next meshes, by the strategies with the scope `Scope.MESH`.
+    """Search for the solution on the next meshes, one for each horizon, by several strategies.
 
-    Tuples have one item for each horizon.
+    `first_success` tries those strategies of `STRATEGIES` that have the scope `Scope.MESH`. The
+    attributes `meshes` and `dampings` have one item for each horizon.
     """
 
     solve: Callable[..., S]
@@ -448,9 +474,10 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return dampings whose gap is at most 0.2 times `tolerance` times the nominal objective.
+    """Return copies of dampings, with a smaller complementarity gap for a more accurate solve.
 
-    With this smaller complementarity gap, the next solve is more accurate.
+    A damping's attribute `gap` is the gap at which a solve is to stop. It becomes at most 0.2 times
+    `tolerance` times the nominal magnitude of the objective. None remains None.
     """
     least = _LEAST_INEXACT * tolerance
     return tuple(
@@ -468,7 +495,8 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a converged solution.
 
-    The result is False if the error of an element exceeds `fine`.
+    The complementarity gap must exceed `tolerance`, or the scaled objective must be too small for
+    Ipopt's convergence test. No element's error may exceed the limit `fine`.
     """
     (part,), (error,) = solution.parts, errors
     # `switches` and `costs` are not counted: they are estimated only if all other errors meet the
@@ -487,7 +515,8 @@ def _is_limited_by_the_barrier(
 class _Reached(Generic[S]):
     """Solution that met the tolerance, kept while the refinement restarts from other controls.
 
-    Improvements of the objective are relative to its nominal magnitude.
+    Later solutions are compared with it. The improvement of the objective from it to a later
+    solution is relative to the objective's nominal magnitude.
     """
 
     solution: S
@@ -528,7 +557,9 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    It is the last solution `ended` or, after a restart, the solution in `reached`.
+    Without a restart, it is `ended`, otherwise the solution from before the restart (`reached`).
+    `_doubted` marks it, unless solutions since improved the objective by at most their own error
+    plus `tolerance`.
     """
     if reached is None:
         return ended
@@ -568,7 +599,8 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the least relative change of the objective from earlier meshes to the last mesh.
 
-    It is relative to `Solution.nominal_objective`, and infinite on the first mesh.
+    The previous mesh counts, and those earlier meshes whose error met `tolerance`. The change is
+    relative to `Solution.nominal_objective`, and infinite on the first mesh.
     """
     *before, now = solution.history
     # The objective on the mesh before the last may be inaccurate. Earlier meshes that met the
@@ -594,7 +626,8 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return a phrase on the control that changed most since the previous mesh, for a message.
 
-    It is empty without controls or without a previous solution.
+    `before` has the previous solution on each horizon, or None. The phrase is empty without
+    controls or without a previous solution.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 class RefinementOptions:
     """Limits and thresholds of the mesh refinement.
 
+    The tolerance of the refinement is not among them, but an argument of the function `refine`.
+
     Attributes
     ----------
     first_elements, first_degree : int
@@ -43,12 +45,12 @@ class RefinementOptions:
     max_points : int
         Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
-        Tolerances of a flight that applies the controls without feedback, for example on violations
-        of limits between the collocation points.
+        Tolerances of a simulated flight with the controls, for example on violations of limits
+        between the collocation points.
     damping : float
-        Strength of the penalty on changes of controls that enter linearly. If such a control
-        changes by its whole range since the previous mesh, this costs `damping` * tolerance *
-        objective.
+        Strength of the penalty on changes of controls on which equations and objective depend
+        nearly linearly. If such a control changes by its whole range since the previous mesh, at
+        all times, the penalty is `damping` * tolerance * `Solution.nominal_objective`.
     limits_move : bool
         Whether limits are expected to become active or inactive at many times. The refinement then
         splits elements at these times last, and solves less exactly on early meshes.
@@ -56,8 +58,8 @@ class RefinementOptions:
         Called with the solution after each mesh on which Ipopt converged. If it returns False, the
         refinement ends with its most accurate solution and the status interrupted.
     known : Solution, optional
-        Converged solution for the same parameters. If a warm start is given and the first mesh is
-        that of `known`, then `known` replaces the solve on this mesh.
+        Converged solution for the parameters of the present solve. If a warm start is given and the
+        first mesh is that of `known`, then `known` replaces the solve on this mesh.
     """
 
     first_elements: int = 10
@@ -184,8 +186,9 @@ def refined_mesh(
 ) -> Mesh:
     """Return the next mesh of a refinement, given a solution and its estimated errors.
 
-    If the next mesh would have more collocation points than `options.max_points`, the present mesh
-    is returned.
+    `marks` lists the elements to refine, and those that keep their degree. The degrees of others
+    may be lowered. If the next mesh would have more collocation points than `options.max_points`,
+    the present mesh is returned.
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
@@ -211,7 +214,11 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an unrefined element of the next mesh, with its degree lowered if possible."""
+    """Return the element of the next mesh for an element `e` that needs no refinement.
+
+    Its degree is lowered if its `error` is below 1 % of the tolerance. The Legendre coefficients of
+    the states for the highest degrees must be negligible, too.
+    """
     mesh = solution.mesh
     degree = mesh.degrees[e]
     if error < _MARGIN * tolerance:
@@ -242,8 +249,8 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Return the elements into which an element with a jump or kink of a control is split.
 
-    `jump` is the time of the jump or kink, as a fraction of the horizon. See
-    docs/theory/refinement.md, eq. (8).
+    `size` is the estimated error of the element `e`. `jump` is the time of the jump or kink, as a
+    fraction of the horizon. See docs/theory/refinement.md, eq. (8).
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
     # A neighbour of degree 1 is a sliver from an earlier mesh, which failed to enclose the whole

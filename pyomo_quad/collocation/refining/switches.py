@@ -78,10 +78,11 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at points, with parameters at the times `fractions`, shape (2, n).
+    """Return the Hamiltonian at n collocation points, by two kinds of costates, shape (2, n).
 
-    The first row uses the integrated costates, the second the costates from the multipliers. Time
-    is measured as a fraction of the horizon.
+    `points` has the indices of the points. Time-dependent parameters are evaluated at the times
+    `fractions`. Time is a fraction of the horizon. The first row uses integrated costates, the
+    second costates from multipliers.
     """
     program, n = solution.program, solution.program.layout.n_states
     variables = program.path_variables(solution.unknowns)[points]
