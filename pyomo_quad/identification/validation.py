@@ -4,8 +4,8 @@ Method: see docs/theory/identification.md, eq. (5). The errors come from cross-v
 extrapolations. They are computed for the package's model and, in the same way, for published
 models.
 
-Arguments `frame` are tables of logged flights, with one row per time, as `read_logs` returns them. The column
-for the phase tells take-off, cruise and landing apart.
+Arguments `frame` are tables of logged flights, with one row per time, as `read_logs` returns them.
+The column for the phase tells take-off, cruise and landing apart.
 """
 
 from collections.abc import Callable
