@@ -43,8 +43,8 @@ def side_by_side(
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
-    The block receives a function that returns all results in order. A task that gives no result in
-    a copy runs again in this process.
+    The `with` block receives a function that returns all results in order. A task that gives no
+    result in a copy runs again in this process.
 
     Parameters
     ----------
@@ -53,8 +53,9 @@ def side_by_side(
     use_blas : bool, optional
         Whether tasks call BLAS; see `cores`.
     is_stopped : callable, optional
-        Function that returns whether the work was stopped. The copies are then not waited for.
-        Their unfinished tasks run again in this process, and must return at once.
+        Function that returns whether the work was stopped. After a stop, this process no longer
+        waits for the copies, and calls their unfinished tasks itself. Each task must therefore
+        check for the stop, and return at once after it.
     """
     began = monotonic()
     queue, entrance = os.pipe()

@@ -207,11 +207,11 @@ def _flown(
     knowledge: Knowledge,
     watch: Stopwatch,
 ) -> tuple[Scenario, "Flight"]:
-    """Simulate the flight that the options of the command `fly` describe.
+    """Simulate the flight that the options of `fly` describe.
 
-    `followed` is None under model-predictive control, which has `knowledge` of the wind. If a plan
-    is made, `watch` records the solve's time. The returned scenario then has its duration and
-    waypoint times.
+    Only model-predictive control uses `knowledge`; its `followed` is None. A plan is made if the
+    flight follows it, the duration is free, or this controller lacks waypoint times. The returned
+    scenario has the plan's times.
 
     Raises
     ------

@@ -99,9 +99,10 @@ def _ending_signals() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """Return the exit status `status`, or end the process with this status if a timer is running.
+    """Return the exit status `status`, or end the process with it if a timer is running.
 
-    The timer is that of `Interruption`; a signal starts it.
+    The timer is that of `Interruption`; a signal starts it. If the process did not end at once, the
+    timer might end it first, with the status `ExitCode.INTERRUPTED`.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -132,7 +133,8 @@ def stop_on_interrupt() -> Iterator[Interruption]:
     """Turn a signal such as Ctrl-C into a request to stop a solve, inside a ``with`` block.
 
     A solve inside the block must read `Interruption.is_requested` at each iteration, and stop if it
-    is True. The signal also starts the timer of `Interruption`.
+    is True. The signal also starts a timer, which ends the process if the command does not end in
+    time; see `Interruption`.
     """
     interruption = Interruption()
     with _handled_by(interruption.request):
@@ -143,8 +145,9 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 def raise_on_interrupt() -> Iterator[None]:
     """Context manager: stop the ``with`` block by `KeyboardInterrupt` at the first signal.
 
-    The block can then clean up, and later signals are ignored. The signal also starts a timer. If
-    the process runs only the command, the timer ends it after half a second.
+    ``finally`` clauses in the block can then clean up. Later signals are ignored. If
+    `end_on_signals` was called before, the process ends at most half a second after the signal,
+    even if the block still runs. Otherwise, as in a test, there is no time limit.
 
     Raises
     ------
@@ -184,12 +187,11 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process after `patience_s` seconds, if the process may be ended.
+    """Set a timer that ends the process after `patience_s` seconds, if it may be ended.
 
-    The result states whether it may. It may after a call of `end_on_signals`, because it then runs
-    only the command. A running timer that ends sooner is kept.
+    The result is True if the process has called `end_on_signals`. A process that also runs other
+    code, as in tests, is not ended. A timer that ends sooner is kept.
     """
-    # A test that calls the command in its own process is not ended.
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]
     if is_own and not 0.0 < left_s <= patience_s:

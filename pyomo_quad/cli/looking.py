@@ -351,9 +351,10 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return the scenario of a `summary.json`, with duration and waypoint times of the flight.
+    """Return the scenario in `summary`, the content of a `summary.json`, with the flight's times.
 
-    The result is None if scenario or duration is missing or cannot be read.
+    The duration and the waypoint times of the flight replace those of the scenario. The result is
+    None if scenario or duration is missing or cannot be read.
     """
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])

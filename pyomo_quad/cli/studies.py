@@ -393,8 +393,8 @@ def _read(
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
     """Read measured flights, and the description of the vehicle that flew them.
 
-    `vehicle` names a library vehicle or a vehicle file. All flights are read if `flights` is None.
-    From a CSV file with columns "flight" and "split", only those with "fit" are read.
+    `vehicle` names a library vehicle or a vehicle file. `flights` is a CSV file with columns
+    "flight" and "split"; only flights with the split "fit" are kept. If None, all are kept.
 
     Returns
     -------

@@ -125,7 +125,8 @@ def compile(  # noqa: A001  as casadi, re and builtins do
     Raises
     ------
     TranscriptionError
-        If the declarations are incomplete or unsupported; the message names the component.
+        If a component of the model is incomplete or unsupported, or if `final_time` or `times` is
+        invalid. The message names the component.
 
     Examples
     --------

@@ -2,8 +2,9 @@
 
 The function is the right-hand side of the closed loop. Its joint state consists of the vehicle's
 states, the law's own states, and the integral of the objective's integrand. The command is the
-vector of values that the law is to follow, such as a reference position. The time-dependent inputs
-of the vehicle's equations are the list that `Dynamics.moment` returns, for example with the wind.
+vector of values that the law is to follow, such as a reference position. Besides states and
+controls, the vehicle's equations have time-dependent inputs, such as the wind. `Dynamics.moment`
+returns the values of these inputs at one time, as a list.
 
 The control law is written in Python, for numbers. To compile the law, it is called once with
 symbols instead of numbers.
@@ -121,8 +122,8 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     """Compile a control law to a CasADi function.
 
     The function maps (joint state, command) to (controls, time derivatives of the law's own
-    states). `sizes` are from `joint_sizes`; the second and the third are the lengths of joint state
-    and command.
+    states). `sizes` are from `joint_sizes`: the numbers of time-dependent inputs, of joint states
+    and of components of the command. The first number is not used.
 
     Raises
     ------

@@ -124,9 +124,9 @@ def costates_of(
 ) -> Costates:
     """Compute costates and Hamiltonian from the multipliers of a nonlinear program.
 
-    The unscaled program has the `multipliers` at the solution `z`; `bounds` are those of its
-    unknowns. `timeline` maps fractions of the horizon to physical time. `objective` is the
-    objective's reference magnitude, the number a in `Costates.sizes`. See
+    `multipliers` are those of the unscaled program at its solution `z`; `bounds` are the bounds of
+    its unknowns and constraints. `timeline` maps fractions of the horizon to physical time.
+    `objective` is the objective's reference magnitude, the number a in `Costates.sizes`. See
     docs/theory/transcription.md, eqs. (9) to (12).
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
@@ -166,8 +166,8 @@ def _products(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gradients of a weighted sum of equations with respect to rates and to states.
 
-    The sum at each collocation point contains the path equations, then the integrands. The
-    gradients have shape (n_points, n_states) each, and `weights` has shape (n_points, n_path_rows).
+    Rates are derivatives by the fraction of the horizon. `weights` has a row per point, and columns
+    for path equations, then integrands. Each gradient has shape (n_points, n_states).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(

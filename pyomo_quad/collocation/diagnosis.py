@@ -81,8 +81,8 @@ class SoftRows:
     ) -> SoftRows:
         """Collect the one-sided limits of a nonlinear program that a diagnosis may relax.
 
-        `limits` are those on unknowns. `families` names the Pyomo components whose limits are
-        collected, by default all.
+        `limits` are those on unknowns; `bounds` contains those on constraints. `families` names the
+        Pyomo components whose limits are collected, by default all.
 
         Raises
         ------
@@ -118,8 +118,8 @@ class SoftRows:
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on unknowns of the program, for `SoftRows.of`.
 
-    A limit is (component, -1 for no constraint, index of the unknown, sign, value, 1 / scaling
-    factor). The sign is 1 for upper and -1 for lower limits. The value may be infinite.
+    A tuple is (component's name, -1, index of the unknown, sign, value, 1 / scaling factor). The
+    number -1 replaces a constraint's index. The sign is 1 for an upper limit, otherwise -1.
     """
     for limit in limits:
         for k, column in enumerate(limit.columns):
@@ -134,8 +134,9 @@ def _soft_program_rows(
 ) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on path inequalities and conditions, for `SoftRows.of`.
 
-    A limit is (component, index of the constraint, -1 for no unknown, sign, value, 1 / scaling
-    factor). The sign is 1 for upper and -1 for lower limits. The value may be infinite.
+    A tuple is (component's name, index of the program's constraint, -1, sign, value, 1 / scaling
+    factor). The number -1 replaces an unknown's index. The sign is 1 for an upper limit, otherwise
+    -1.
     """
     equations = program.compiled.declared.equations
     rows = [
@@ -169,10 +170,10 @@ class Residual:
     name : str
         Full name of the equation.
     element : int, optional
-        Index of the element, from 0. None for an equation that belongs to no element, such as a
+        Index of the element, from 0. None for an equation that does not hold over time, such as a
         condition at a single time.
     time : float, optional
-        Physical time of the violation; None if `element` is None.
+        Physical time of the collocation point in this element; None if `element` is None.
     violation : float
         Distance of the equation's value from its bounds.
     unit : str
@@ -433,9 +434,10 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 
 
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
-    """Return the limits that are active at the best iterate, one item per model component.
+    """Return the components with limits that are active at the best iterate, one item for each.
 
-    `soft` are the one-sided limits of the model that are tested.
+    The item has the value of the component's first active limit, and the share of points with an
+    active limit. `soft` are the model's one-sided limits.
     """
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])

@@ -56,8 +56,8 @@ class Instants:
     ----------
     inputs : list of ndarray, each with n rows
         Five arrays: rates (derivatives of the states with respect to the fraction of the horizon);
-        states; algebraic variables; variables without time; and data (fraction of the horizon and
-        parameters).
+        states; algebraic variables, including controls; variables without time; and data (fraction
+        of the horizon and parameters).
     read : callable
         ``(keys, *inputs)`` -> values of components of the model, shape (n, n_keys). For the keys,
         see `Instants.table`.
@@ -260,8 +260,8 @@ class Dynamics:
         -------
         list of float
             The fraction of the horizon, then the time-dependent parameters, then the quantities of
-            `Declarations.scheduled`. For example, a number tells which branch a rule of the model
-            takes at this time.
+            `Declarations.scheduled`. These are data of rules that branch on time, and factors of
+            the horizon's phases.
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
@@ -298,7 +298,8 @@ class Dynamics:
         Parameters
         ----------
         changed : mapping
-            Full name of a parameter -> symbol that replaces its value. Other names are ignored.
+            Full name of a constant parameter -> symbol that replaces its value. Names of anything
+            else are ignored.
         """
         pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
@@ -314,7 +315,8 @@ class Dynamics:
             Column of symbols for the time-dependent inputs at one time, in the order of the list
             that `Dynamics.moment` returns.
         changed : mapping
-            Full name of a time-dependent parameter -> its new symbol. Other names are ignored.
+            Full name of a time-dependent parameter -> its new symbol. Names of anything else are
+            ignored.
         """
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):
@@ -394,7 +396,7 @@ class Dynamics:
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
         """Evaluate the right-hand side at one physical time, for states x and controls u.
 
-        Each of the two arrays has one row. The first has the rates dx/ds, then the determined
+        The result is two arrays of one row. The first has the rates dx/ds, then the determined
         algebraic variables. The second has the objective's integrand per unit of s, then dt/ds.
         """
         row = self._row(t)
@@ -444,10 +446,11 @@ class Dynamics:
 
     @property
     def _slopes(self) -> Any:
-        """CasADi function of the Jacobians of the right-hand side, with the same four inputs.
+        """CasADi function of the objective's integrand and the right-hand side's Jacobians.
 
-        Output 1: the objective's integrand per unit of s, then dt/ds. Outputs 2 and 3: derivatives
-        of rates dx/ds and determined algebraic variables with respect to states and to controls.
+        The first output is a column: the integrand per unit of s, then dt/ds. The second and third
+        are Jacobians by states and by controls. Their rows are rates dx/ds, then determined
+        algebraic variables.
         """
         kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
         if key not in kept:
@@ -858,7 +861,7 @@ def _solved_for(rows: Any, unknowns: Any) -> Any:
 class _Core:
     """Implicit equations, split into a nonlinear part for Newton's method and a linear part.
 
-    The unknowns are the rates dx/ds, then the determined algebraic variables.
+    The unknowns are the rates dx/ds, then the algebraic variables that equations determine.
 
     Attributes
     ----------
@@ -868,8 +871,8 @@ class _Core:
         (`inner`, inputs) -> residual of the nonlinear part. The inputs are states, controls, static
         variables and data, as one column.
     known : casadi.Function
-        (`inner`, inputs) -> two columns: all unknowns; the objective's integrand per unit of s,
-        then dt/ds.
+        (`inner`, inputs) -> two columns. The first has all unknowns, also those of the linear part.
+        The second has the objective's integrand per unit of s, then dt/ds.
     """
 
     inner: Any
@@ -927,9 +930,8 @@ class _WithoutIterations(Dynamics):
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
     """Split equations into a nonlinear and a linear part: (equations, unknowns) of each part.
 
-    The result has positions in the CasADi columns `rows` of residuals and `unknowns`. The nonlinear
-    part has the unknowns that enter an equation nonlinearly, and the equations that contain no
-    others.
+    Both are positions in the columns `rows` (residuals) and `unknowns`. The nonlinear part has the
+    unknowns that enter any equation nonlinearly, and the equations without further unknowns.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)

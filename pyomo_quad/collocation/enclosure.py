@@ -1,9 +1,10 @@
-"""Guaranteed ranges (enclosures) of expressions over boxes of variables, by interval arithmetic.
+"""Enclosures of expressions over boxes of variables, by interval arithmetic.
 
+An enclosure is an interval that contains all values of an expression, apart from rounding errors.
 A box is a set of intervals, one for each variable. Each elementary operation of an expression is
 evaluated on the bounds of its arguments, for many boxes at once (Moore, Interval Analysis, 1966).
-The bounds are rounded to nearest, not outwards. An enclosure is therefore accurate to about 1e-14
-times the largest magnitude of its values.
+The bounds are rounded to nearest, not outwards. The rounding errors are about 1e-14 times the
+largest magnitude of the values.
 """
 
 from __future__ import annotations
@@ -92,8 +93,9 @@ _OPERATIONS: dict[int, Callable[..., Interval]] = {
 def symbols(*names: str) -> list[Any]:
     """Return scalar CasADi symbols with the given names, to write expressions with.
 
-    `Dynamics.expressions` takes such symbols to write components of a model. `Enclosure` bounds the
-    resulting expressions over intervals of the symbols.
+    For example, `Dynamics.expressions` replaces the variables of a model by such symbols, and
+    returns components of the model as expressions. `Enclosure` bounds expressions over intervals of
+    the symbols.
 
     Parameters
     ----------
@@ -107,6 +109,8 @@ def symbols(*names: str) -> list[Any]:
 
     Examples
     --------
+    Bound x * y and its derivative with respect to x, for x between 1 and 2 and y = 3:
+
     >>> import numpy as np
     >>> x, y = symbols("x", "y")
     >>> product = Enclosure([x * y], [x], [y])
@@ -207,10 +211,11 @@ class _Steps:
         self._steps = list(map(self._step, range(function.n_instructions())))
 
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
-        """Return operation `k`: CasADi's code, positions of arguments and results, constant.
+        """Return operation `k`: CasADi's operation code, arguments, results, and a constant.
 
-        The positions are those in CasADi's work array. An input or output is given by its number
-        and a position in it.
+        Arguments and results are positions in CasADi's work array. A read input or a written output
+        is given as [its number, position in it]. The constant is that of a constant operation,
+        otherwise 0.
         """
         f = self._function
         operation = f.instruction_id(k)
@@ -226,8 +231,9 @@ class _Steps:
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
         """Return lower and upper bounds of each output over n boxes, shape (n_rows, n) each.
 
-        The corners `low` and `high` of the boxes have shape (n_variables, n). The values `numbers`
-        of the second input, shape (n_numbers,), are the same for all boxes.
+        Here n_rows is the number of elements of the output. The corners `low` and `high` of the
+        boxes have shape (n_variables, n). The values `numbers` of the second input, shape
+        (n_numbers,), are the same for all boxes.
         """
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}

@@ -53,8 +53,9 @@ class FirstSolve(Search[S], Generic[S]):
         (solver, mesh, start) -> solution, with mesh refinement if the caller gave a tolerance. Here
         `solver` maps (mesh, start) to a solution on one mesh.
     judge : callable
-        Failed solution -> solution with a verdict on feasibility. With one horizon, the result is
-        at the point of least constraint violation.
+        Failed solution -> solution whose status tells whether the problem was found infeasible. The
+        function minimises the constraint violation. With one horizon, the unknowns of the result
+        are at the minimum found; with several, they are unchanged.
     mesh : Mesh, list of Mesh, or None
         Initial mesh; a list for several horizons, None without time.
     start, options : Start, SolverOptions
@@ -95,9 +96,9 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        `Fact.JUDGED` is true if the requested solve has failed and `judge` was not interrupted.
-        `Fact.POSSIBLE` also requires that the problem was not found infeasible. Other conditions
-        are false here.
+        `Fact.JUDGED` is true if the requested solve has failed and the user did not interrupt
+        `judge`. `Fact.POSSIBLE` also requires that `judge` did not find the problem infeasible. The
+        result is False for all other members of `Fact`.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -107,8 +108,8 @@ class FirstSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S | None:
         """Solve with the initial point, mesh and settings of Ipopt that a strategy prescribes.
 
-        The result is None if the strategy does not apply to this problem. The first result with the
-        requested initial point is stored in `first`.
+        The result is None if the strategy does not apply to this problem. The first strategy that
+        starts from the initial point that the caller requested stores its result in `first`.
         """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
@@ -124,8 +125,9 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the initial point that the caller requested, and return the result.
 
-        Here, the kind `first` of the initial point is ignored. A subclass starts from a point of
-        this kind, and returns None if the problem has none. `own`, which is `solve` with the
+        The argument `first` is the kind of initial point that a strategy prescribes. This base
+        class ignores it. A subclass starts from a point of this kind, and returns None if the
+        problem has none. `own`, which is `solve` with the
         strategy's settings, maps (mesh, start) to a solution on this one mesh.
         """
         del first
@@ -161,8 +163,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     Attributes
     ----------
     bounds_of : callable
-        Nonlinear program -> its bounds, with those of the redundant conditions that a solve left
-        out. They show whether its solution violates these conditions.
+        Nonlinear program -> all its bounds, including those of redundant conditions. They show
+        whether the solution of a solve without redundant conditions violates one.
     simulate : callable, optional
         () -> simulated initial guess; see `Problem._simulated`. The attribute is None if the caller
         gave a guess, a warm start, or no tolerance.
@@ -184,10 +186,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition `fact` is true at this stage of the search.
-
-        The base class evaluates `Fact.JUDGED` and `Fact.POSSIBLE`.
-        """
+        """Return whether the condition `fact` is true at this stage of the search."""
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
@@ -236,8 +235,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without redundant conditions, such as an end condition on a conserved quantity.
 
-        `solve_on` maps (mesh, start) to a solution on this mesh, which is None without time. The
-        result is None if no condition is redundant, or if the solve fails or violates one.
+        `solve_on` maps (mesh, start) to a solution. `mesh` is None for a model without time. The
+        result is None if no condition is redundant, the solve fails, or a redundant condition is
+        violated.
         """
         # Redundant conditions are detected at a point of least constraint violation near the start.
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))

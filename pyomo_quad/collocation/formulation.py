@@ -488,8 +488,8 @@ class Formulation:
     def timeline(self, statics: FloatArray, instance: Instance) -> Timeline:
         """Return the piecewise linear mapping between fractions of the horizon and physical time.
 
-        `statics` are the values of the static variables, some of which may be free times. The
-        horizon of `instance` applies to ends that are not free.
+        `statics` are the values of the static variables, some of which may be free times. A start
+        or end of the horizon that is not free has its value from `instance`.
         """
         times = np.array(self.compiled.times(statics, instance.parameters)).ravel()
         return Timeline(fractions=np.array(self.compiled.declared.clock.fractions), times=times)
@@ -559,9 +559,8 @@ class StructuralIndex:
         Structural index: the number of times by which the equations must be differentiated to
         obtain an ODE; 0 for an ODE.
     differentiated : dict
-        Name of an equation -> number of differentiations with respect to time, if above 0. The
-        differentiated equations determine the highest derivative of each variable that they
-        contain.
+        Name of an equation -> number of differentiations with respect to time. Equations that need
+        no differentiation are left out.
     """
 
     index: int

@@ -56,9 +56,9 @@ def initial_point(
     """Return an initial point inside the bounds, from a guess and the values in the model.
 
     If `guess` is a `Trajectory`, it is interpolated to the program's mesh. Otherwise, `guess` gives
-    values by variable name. Other variables are interpolated between fixed values and `values`,
-    those in the Pyomo model. Algebraic variables without values are computed from equations that
-    define them.
+    values by variable name. Any other variable is interpolated in time between its known values:
+    fixed values, and the values in the Pyomo model (`values`). Algebraic variables without values
+    are computed from equations that define them.
 
     Raises
     ------
@@ -101,8 +101,9 @@ def first_point(
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
     The point before the correction is that of `initial_point` or, if `seed` is above 0, a random
-    point of `scattered`. The correction moves states onto equations among states alone. If an
-    equation or a derivative is still NaN, it also adjusts the algebraic variables.
+    point of `scattered`. The correction changes states to satisfy the equations that contain states
+    only. If an equation or a derivative is NaN at the resulting point, the algebraic variables are
+    adjusted to the equations.
     """
     z = initial_point(program, bounds, values, guess)
     z = scattered(program, bounds, z, seed) if seed else z
@@ -144,10 +145,10 @@ class _Known:
         return np.interp(fractions, at, np.array([known[f] for f in at]))
 
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
-        """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
+        """Return the guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        The guess is a number, samples, or a function of time. If an end of the horizon is free, the
-        function takes the fraction, and samples span the horizon.
+        It is a number, a function of time, or samples at the times in "time". If start or end is
+        free, these times are scaled, and the function takes fractions.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -169,7 +170,8 @@ class _Known:
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
         """Return a copy of `z` with values of the algebraic variables that equations define.
 
-        Known values are kept. If a computed value is infinite or NaN, the result is `z` itself.
+        `z` has the values of all unknowns of the program. Known values are kept. If a computed
+        value is infinite or NaN, the result is `z` itself.
         """
         program, bounds = self.program, self.bounds
         columns = program.layout.algebraic_columns

@@ -282,9 +282,9 @@ class JointProblem(Summarised):
         ----------
         mesh : Mesh or mapping, optional
             One mesh for all horizons, or a mapping from the names of the continuous sets to meshes;
-            only the initial meshes if a `tolerance` is given. Element boundaries are added at
-            constraints at single times, fixed values and jumps of parameters. By default, the
-            meshes of the warm start, or `first_mesh` of `refinement`.
+            only the initial meshes if a `tolerance` is given. Constraints at single times,
+            single fixed values and jumps of parameters add element boundaries at their times. By
+            default, the meshes of the warm start, or `first_mesh` of `refinement`.
         guess : mapping, optional
             Initial values by the name of a variable: a function of time, a constant, or an array of
             samples. The key "time" gives the times of the samples. The name of a continuous set
@@ -440,9 +440,9 @@ class JointProblem(Summarised):
         Parameters
         ----------
         meshes : sequence of Mesh or None
-            Mesh of each horizon, and None for the coupling.
+            Mesh of each horizon, in the order of `horizons`, then None for the coupling.
         instances : sequence of Instance
-            Data of the solve, such as parameter values, for each horizon and for the coupling.
+            Data of the solve, such as parameter values, in the same order.
         """
         programs = [
             part.program(mesh, instance)

@@ -2,9 +2,11 @@
 
 The steps have order 8, with the coefficients and the error estimate of SciPy's `DOP853`. SciPy
 calls Python for each of the twelve stages of a step. Here all stages form one CasADi function,
-which is faster, especially for many short flights. The time-dependent inputs of the vehicle's
-equations are the list that `Dynamics.moment` returns, for example with the wind. They do not
-contain the controls.
+which is faster, especially for many short flights.
+
+Besides states and controls, the vehicle's equations have time-dependent inputs, such as the wind.
+`Dynamics.moment` returns the values of these inputs at one time, as a list. The joint state
+consists of the vehicle's states and the integral of the objective's integrand.
 
 The module serves the search for a plan. The finished plan is verified with SciPy's own integrator.
 """
@@ -166,9 +168,9 @@ class OpenLoopSteps:
 def _step(rates: Any) -> Any:
     """Return one step of DOP853 as a CasADi function.
 
-    `rates`, from `ClosedLoop`, maps (time-dependent inputs, joint state, controls) to the joint
-    state's rates. Inputs: state, time-dependent inputs and controls at all stages (a column
-    each), duration. Outputs: new state, error estimates of orders 5, 3.
+    `rates` maps (time-dependent inputs, joint state, controls) to the joint state's time
+    derivative. Inputs: joint state; time-dependent inputs, then controls, at all stages; duration.
+    Outputs: new joint state, error estimates of orders 5 and 3.
     """
     n_moment, n_joint, n_controls = (rates.numel_in(k) for k in range(3))
     joint, width = casadi.MX.sym("joint", n_joint), casadi.MX.sym("width")

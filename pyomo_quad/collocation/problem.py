@@ -133,9 +133,10 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         mesh : Mesh, optional
-            Mesh of the solve; only the initial mesh if a `tolerance` is given. Element boundaries
-            are added at constraints at single times, fixed values and jumps of parameters. By
-            default, the initial mesh is that of the warm start, or `first_mesh` of `refinement`.
+            Mesh of the solve; only the initial mesh if a `tolerance` is given. Constraints at
+            single times, single fixed values and jumps of parameters add element boundaries at
+            their times. By default, the initial mesh is that of the warm start, or `first_mesh` of
+            `refinement`.
         tolerance : float, optional
             Required relative error of the states; default 1e-6 if no mesh is given.
         parameters : mapping, optional
@@ -207,8 +208,8 @@ class Problem(Summarised, Formulation):
     ) -> Solution:
         """Solve from a warm start or guess; refine the mesh if a tolerance is given.
 
-        `mesh` is the first mesh, by default that of the warm start or `refinement`. `instance` has
-        parameter values. If `starts` > 1, the best optimum from several points is the warm start.
+        `mesh` is the first mesh, by default that of the warm start or `refinement`. If `starts` is
+        above 1, that many initial points are tried. The best optimum replaces `start.warm`.
         """
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
@@ -330,8 +331,8 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         mesh : Mesh or None
-            None for a model without time. Element boundaries are added at constraints at single
-            times, fixed values, and jumps of parameters.
+            None for a model without time. Constraints at single times, single fixed values and
+            jumps of parameters add element boundaries at their times.
         start : Start, optional
             Initial point: a guess or a warm start; by default the values that the variables of the
             Pyomo model have.
@@ -448,8 +449,8 @@ class Problem(Summarised, Formulation):
         Raises
         ------
         TranscriptionError
-            If an argument is invalid, or if the number of equations differs from the number of
-            rates and determined variables.
+            If an argument is invalid, or if the number of equations over time differs from the
+            number of states and algebraic variables that are not controls.
         """
         declared = self.compiled.declared
         if statics is None:

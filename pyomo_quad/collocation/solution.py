@@ -439,13 +439,12 @@ class Solution(Outcome):
         raise TranscriptionError(f"{name}: is not a static variable or integral; give a time t.")
 
     def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
-        """Return the inputs of a component's function at given fractions of the horizon.
+        """Return the inputs of an `Evaluator`'s functions at given fractions of the horizon.
 
-        They are rates, states, algebraic variables, static variables and data, with one row per
+        They are rates (derivatives of the states with respect to the fraction), states, algebraic
+        variables, static variables, and data: the fraction and the parameters. Each has one row per
         time.
         """
-        # Rates are derivatives with respect to the fraction of the horizon. Data are the fraction
-        # itself and the parameters. The functions are those of an `Evaluator`.
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)
         if self.output_states.shape[1]:

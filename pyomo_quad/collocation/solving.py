@@ -1,8 +1,9 @@
 """Complete solve from a warm start or a guess, within limits of iterations and time.
 
-A solve from a warm start has a budget: the iterations that an earlier solve from the guess took, on
-the first mesh and on all meshes. If the budget is exceeded, the problem is solved from the guess
-instead (cold start). A solve that is stopped early returns the solution on the most accurate mesh.
+A warm start records how many iterations an earlier solve of its problem from the guess took. It
+records two numbers: for the first mesh, and for all meshes. They are the budget of a solve from the
+warm start. If it exceeds one of them, the problem is solved from the guess instead (cold start). A
+solve that is stopped early returns the solution on the most accurate mesh.
 """
 
 from __future__ import annotations
@@ -116,9 +117,20 @@ def within_budget(
     """Solve from a warm start; if its budget is used up, solve from the guess.
 
     The budget is the number of iterations that `start` records for an earlier solve from the guess.
-    There is no budget if that solve had another `tolerance`, or if `is_known` is false: the record
-    then does not apply. If the new solve from the guess fails, the warm start continues without a
-    budget.
+    There is no budget if that solve had another `tolerance`, or if `is_known` is False. If the new
+    solve from the guess fails, the warm start continues without a budget.
+
+    Parameters
+    ----------
+    solve : callable
+        (start, progress callback) -> solution.
+    start : Start
+    tolerance : float, optional
+        Tolerance of the mesh refinement; None for a single mesh.
+    progress : callable, optional
+        Called at each iteration.
+    is_known : bool, optional
+        Whether the recorded number of iterations applies to this solve.
     """
     # Several initial points take more iterations than the recorded solve from one point. `is_known`
     # is then False.
@@ -144,9 +156,11 @@ def carried_out(
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
     `attempt` solves once from a starting point, and refines the mesh if it gets a tolerance. This
-    is `tolerance`, or 1e-6 if the caller gave neither a tolerance nor a mesh. A warm start has a
-    budget of iterations only if `is_known`; it has none for several initial points. A tolerance not
-    above 0 raises a TranscriptionError.
+    tolerance is `tolerance`, or 1e-6 if `tolerance` is None and `has_mesh` is False. A `tolerance`
+    not above 0 raises a TranscriptionError.
+
+    If `is_known` is True, the budget that a warm start records limits the iterations. `is_known` is
+    False for a solve from several initial points.
     """
     if tolerance is not None and not tolerance > 0.0:
         raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")

@@ -244,8 +244,8 @@ def warm_start_of(
 ) -> WarmStart:
     """Return a warm start from the unknowns and multipliers of a nonlinear program.
 
-    `z` are the unknowns, shape (n_unknowns,). `cold_start` has the iterations of the solve without
-    a warm start, if they are known.
+    `z` are the unknowns, shape (n_unknowns,). `cold_start` records how many iterations a solve from
+    an initial guess took; None if unknown.
     """
     first = program.first_condition_row
     return WarmStart(
@@ -325,8 +325,9 @@ class Start:
     def cold_start(self) -> ColdStart | None:
         """Numbers of iterations that an earlier solve from an initial guess took, None if unknown.
 
-        They limit the iterations of a solve from the warm start, which contains them. With several
-        horizons, the first warm start is used.
+        The warm start contains these numbers: the iterations on the first mesh, and on all meshes.
+        A solve from the warm start may take no more. With several horizons, the numbers of the
+        first warm start are returned.
         """
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start

@@ -142,10 +142,10 @@ class SteppedLoops:
     def _around(
         self, begin: float, end: float, command: Callable[[float], Sequence[float]]
     ) -> list[FloatArray]:
-        """Return the inputs of one Runge-Kutta step that are the same for all vehicles.
+        """Return those arguments of one Runge-Kutta step that are the same for all vehicles.
 
-        They are the length of the step [s], time-dependent inputs, and commands. Inputs and
-        commands are those at the start, the middle and the end.
+        They are the length of the step [s], results of `Dynamics.moment`, and commands. These
+        results and commands are those at the start, the middle and the end of the step.
         """
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.

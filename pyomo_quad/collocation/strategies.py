@@ -122,7 +122,8 @@ class Strategy:
     is_firm : bool
         Whether the damping of the controls is increased.
     iterations : float or None
-        Limit of iterations on each mesh; None for the limits recorded in the warm start.
+        Limit of iterations on each mesh. None, in the strategy "warm start" only, for the budget
+        that a warm start records: the iterations of an earlier solve from the guess.
     times : int
         How often the strategy may be tried.
     """
@@ -136,9 +137,8 @@ class Strategy:
     is_scaled: bool = True
     # Ipopt then also begins with a larger barrier parameter.
     is_firm: bool = False
-    # Only the strategy "warm start" has None. Its limits are the iterations of an earlier solve
-    # from the guess, on the first mesh and on all meshes. Without a record for the same tolerance,
-    # there is no limit.
+    # The budget has two numbers: iterations on the first mesh, and on all meshes. Without a record
+    # for the same tolerance, there is no limit.
     iterations: float | None = inf
     # Only a restart may be tried more than once. `first_success` does not read this number; the
     # refinement itself counts the restarts.
@@ -147,8 +147,8 @@ class Strategy:
     def settings(self, options: SolverOptions) -> SolverOptions:
         """Return the settings of Ipopt with which the strategy solves.
 
-        If `barrier` is given, it replaces `mu_strategy` of the caller's `options`, and the limit of
-        iterations is at most `iterations`.
+        If `barrier` is None, they are the caller's `options`, unchanged. Otherwise, `mu_strategy`
+        is `barrier`, and the limit of iterations is reduced to `iterations` if it is larger.
         """
         if self.barrier is None:
             return options
@@ -233,7 +233,8 @@ class Search(ABC, Generic[S]):
     def attempt(self, strategy: Strategy) -> S | None:
         """Solve with a given solution strategy, and return the result.
 
-        The result is None if the strategy does not apply to the problem.
+        The result of a failed solve has the status of the failure. The result is None if nothing
+        was solved, because the problem has no initial point of the kind `strategy.first`.
         """
 
     def is_final(self, found: S) -> bool:

@@ -109,8 +109,10 @@ def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, flo
 def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
     """Write a plan as a ROS 2 bag with a single trajectory message; return its number of points.
 
-    The axes follow REP 103. `folder` must not exist. A ScenarioError is raised if a state or
-    rosbags is missing, or the rate is not allowed.
+    The axes follow REP 103. `folder` must not exist. `rate_hz` is the number of points per second.
+    A ScenarioError is raised if the plan lacks a state of position, velocity, attitude or body
+    rates; if the Python package rosbags is not installed; or if `rate_hz` is not above 0 and at
+    most `FASTEST_STREAM_HZ`.
     """
     motion.require(
         (*POSITION_STATES, *VELOCITY_STATES, *ATTITUDE_STATES, *RATE_STATES), "a ROS 2 trajectory"

@@ -554,7 +554,8 @@ def _inscribed(
 ) -> list[dict[str, float]]:
     """Return the corners of a regular polygon inscribed in a circle, as latitudes and longitudes.
 
-    `radius` is in m. The polygon is constructed in the axes x and y with the origin `home`.
+    `centre` has the circle's latitude and longitude, in this order. `radius` is in m. The polygon
+    is constructed in the axes x and y with the origin `home`.
     """
     (x, y, _), *_ = home.local([[*centre.values(), 0.0]]).tolist()
     angles = [tau * k / MOST_CORNERS for k in range(MOST_CORNERS)]

@@ -118,8 +118,9 @@ class Legs:
 def thin(motion: Motion, path_error_m: float) -> Legs:
     """Approximate a plan by few straight legs, within `path_error_m` of the plan at all times.
 
-    Plan and legs are compared at equal times. Source: top-down time-ratio algorithm of Meratnia and
-    de By (2004). If the plan lacks a position, a ScenarioError is raised.
+    `path_error_m` limits the distance between plan and legs at the same time. Source: top-down
+    time-ratio algorithm of Meratnia and de By (2004). If the plan's model does not have the states
+    x, y and z of the position, a ScenarioError is raised.
     """
     motion.require(POSITION_STATES, "a QGroundControl mission")
     passed = _passing_times(motion)
@@ -155,9 +156,9 @@ def mission(
 ) -> dict[str, Any]:
     """Convert a plan to the content of a QGroundControl plan file, as nested mappings.
 
-    `legs` come from `thin`. `origin` becomes the home position; heights are relative to its
-    altitude. If there are more mission items than PX4 can store, a ScenarioError is raised, which
-    names `path_error_m`.
+    `legs` come from `thin`, called with `motion` and `path_error_m`. `origin` becomes the home
+    position; heights are relative to its altitude. If there are more mission items than PX4 can
+    store, a ScenarioError is raised. Its message contains `path_error_m`.
     """
     items = _items(legs, origin, _releases(legs, motion.mission))
     if len(items) > MOST_ITEMS:

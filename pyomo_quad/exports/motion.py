@@ -39,7 +39,7 @@ _AGAIN = "solve the scenario again"
 
 @dataclass(frozen=True, kw_only=True)
 class ProvenPlan:
-    """Plan that a repeated simulation has confirmed, with its mission.
+    """Plan that a new simulation of its controls has confirmed, with its mission.
 
     Attributes
     ----------
@@ -62,8 +62,8 @@ def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPla
     """Read a saved plan or a report folder, and verify the plan again by simulation.
 
     `is_code_allowed` permits running the Python model builder of the scenario. A ScenarioError is
-    raised if the plan is missing, damaged, not confirmed, or neither `PlanStatus.VERIFIED` nor
-    `PlanStatus.USABLE`.
+    raised if the plan is missing or damaged, or if the new simulation does not confirm it. It is
+    also raised if the saved status is neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
     """
     place = Path(path)
     if place.is_dir():
@@ -164,8 +164,8 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the new simulation does not confirm the plan, or if its status is neither
-            `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
+            If the status of `plan` is neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`, or if
+            the new simulation does not confirm `plan`.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -184,7 +184,7 @@ class Motion:
         ------
         ScenarioError
             If there is no plan, if it is damaged, or if the new simulation does not confirm it.
-            Also if its status is neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
+            Also if the stored status is neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
@@ -333,8 +333,8 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    The table has one row per node. `degrees` has the degrees of the mesh elements. Every quantity
-    is listed both as a state and as a control. Energy and Hamiltonian are zero.
+    The table has one row per node. `degrees` are those of the mesh elements. The result lists every
+    quantity as a state and a control; energy and Hamiltonian are zero.
     """
     times = frame[TIME].to_numpy(dtype=float)
     # The table does not say which quantities are states and which are controls. The equations of
@@ -437,9 +437,9 @@ def fit_pieces(
 ) -> tuple[FloatArray, FloatArray]:
     """Approximate a plan by polynomial pieces of equal duration: durations [s] and coefficients.
 
-    For the two arrays, see `PolynomialTrajectory`. The deviation of position [m] and yaw [rad] is
-    at most `path_error_m`. A ScenarioError is raised if the plan lacks position, velocity or yaw,
-    or if `most_pieces` pieces do not suffice.
+    For the two arrays, see `PolynomialTrajectory`. The number `path_error_m` limits both deviations
+    from the plan: that of the position in m, and that of the yaw in rad. A ScenarioError is raised
+    if the plan has no position, velocity or yaw, or if `most_pieces` pieces do not suffice.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "a polynomial")
     found = 0.0
@@ -463,7 +463,7 @@ def piece_deviation(
 ) -> tuple[float, float]:
     """Return the largest deviation of polynomial pieces from a plan: position [m] and yaw [rad].
 
-    The deviation is computed at equal times. For `durations` and `coefficients`, see
+    Polynomials and plan are compared at the same times. For `durations` and `coefficients`, see
     `PolynomialTrajectory`.
     """
     t = np.linspace(

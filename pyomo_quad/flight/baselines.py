@@ -298,8 +298,8 @@ class _Loop:
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the joint state at the initial time t [s].
 
-        `last` is the final state of the controller in the previous part of the flight, None if
-        there is none.
+        `state` is the initial state of the vehicle. `last` is the final state of the controller in
+        the previous part of the flight, if any.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -401,9 +401,9 @@ def fly_reference(
     """Simulate a mission once under the adaptive controller along a reference.
 
     Unlike `fly_baseline`, this function neither verifies nor tabulates the flight. With a plan, the
-    flight starts in the plan's initial state. The reference "plan" needs the plan as the path.
-    `rate_hz` is the number of samples per second; the first and the last time are always included.
-    `tolerance` is that of the integrator. For errors, see `fly`, `reference_path` and
+    flight starts in the plan's initial state. `Reference.PLAN` requires a plan, whose trajectory is
+    the path. `rate_hz` is the number of samples per second; the first and the last time are always
+    included. `tolerance` is that of the integrator. For errors, see `fly`, `reference_path` and
     `refuse_other_vehicles`.
     """
     refuse_other_vehicles(scenario, dynamics)
@@ -443,7 +443,8 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
     """Simulate a vehicle that applies a plan's controls without feedback; verify the flight.
 
     The flight is verified if two integrators agree and the battery can supply the power. `scenario`
-    has the times of the plan, `dynamics` the actual wind.
+    is `plan.mission_flown`: the mission with the plan's duration and passing times of waypoints.
+    `dynamics` are the vehicle's equations in the actual wind.
     """
     began = perf_counter()
     held = plan.trajectories

@@ -69,10 +69,7 @@ class LimitDistance:
 
     @property
     def present_probability(self) -> float:
-        """Probability that a flight breaks the limit at some time.
-
-        The flight follows the plan for which these statistics were computed.
-        """
+        """Probability that a flight along the present plan breaks the limit at some time."""
         return _crossing(self.distance, self.deviation, self.correlation)
 
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
@@ -115,8 +112,8 @@ _HALVINGS = 30
 def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability that a flight starts beyond a limit or crosses it later.
 
-    `distance` is the mean distance from the limit over time, negative beyond it. `deviation` is the
-    standard deviation, and `correlation` the correlation between successive times, one value fewer.
+    `distance` is the flights' mean distance from the limit at n times, negative beyond the limit.
+    `deviation` is its standard deviation, `correlation` that between successive times.
     """
     # Over the flights, the distance is normally distributed.
     beyond = distance / np.maximum(deviation, _ROUNDING)
@@ -204,7 +201,7 @@ class Miss:
         Scenario field that is tightened so that fewer flights break the limit; empty if none can
         be.
     off : ndarray, shape (n_instants, n_samples)
-        Samples at each instant at which the limit applies.
+        Distance [m] or speed [m/s] of each sample, at each instant at which the limit applies.
     within : float
         Largest distance [m] or speed [m/s] allowed.
     """

@@ -232,10 +232,11 @@ class Candidate:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
         The result becomes `solution`, even if it failed, with one exception. If braking rotors
-        return no energy, a result with the status `NOT_CONVERGED` is discarded. The power then has
-        a kink at zero, and other strategies are better suited. After any failure (`NOT_CONVERGED`
-        or `INFEASIBLE`), the solver's status is returned.
+        return no energy, a result with the status `NOT_CONVERGED` is discarded. After any failure
+        (`NOT_CONVERGED` or `INFEASIBLE`), the solver's status is returned.
         """
+        # If no energy is returned, the electric power has a kink at zero. Other strategies are
+        # better suited for it.
         # The first mesh is that of the warm start, or the mission's own if the start is discarded.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
         if self.mission.easier and solution.status is Status.NOT_CONVERGED:
@@ -265,10 +266,12 @@ class Candidate:
     def is_long(self) -> bool:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
-        The result is False if a strategy has already made a solution, or for waypoints or keep-out
-        zones. It is also False for a user's own model, or if braking rotors
-        return no energy. The power then has a kink at zero, for which another guess is better.
+        The result is False if a strategy has already made a solution, and for missions with
+        waypoints or keep-out zones. It is False for a user's own model, and for rotors that return
+        no energy when they brake.
         """
+        # If no energy is returned, the electric power has a kink at zero, for which another guess
+        # is better.
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
         # A long flight takes much longer than the vehicle needs to change its attitude.
@@ -328,8 +331,9 @@ class Candidate:
     def has_failed_at_waypoints(self) -> bool:
         """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        The easier mission is the same mission without the radii and speed limits of its waypoints.
-        There is none if no waypoint has a radius or a speed limit.
+        The easier mission passes exactly through the waypoints, at any speed. It is easier, because
+        inequalities on distance and speed at waypoints make a first solve difficult. There is none
+        if no waypoint has a radius or a speed limit.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -359,10 +363,10 @@ class Candidate:
         return None if feasible is None else self._retried(feasible)
 
     def may_be_slower(self) -> bool:
-        """Return whether the failed mission might be feasible if it lasted longer.
+        """Return whether to search for a slower flight as initial guess for the failed mission.
 
-        The result is False if the duration of the mission is free, or if the diagnosis of the
-        failed solve calls the mission infeasible.
+        The result is False if the duration of the mission is free. It is also False if the
+        diagnosis found the mission infeasible in its duration, so that no guess helps.
         """
         is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
@@ -387,9 +391,10 @@ class Candidate:
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
-        """Solve the failed mission again, starting from its solution with a longer duration.
+        """Solve the failed mission again, with the flight `slower` as initial guess.
 
-        The result is the solver's status, or None if `slow_down` has found no solution.
+        That flight lasts longer than prescribed. The result is the solver's status, or None if
+        `slow_down` has found no such flight.
         """
         return None if self.slower is None else self._retried(self.slower)
 
@@ -520,10 +525,10 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether stricter limits may turn the solution into a verified plan.
 
-        The result is True if the simulated flight deviates from the plan, for example by breaking a
-        limit (see `is_astray`). If `solver.accuracy` of the scenario is "proof", it is
-        always False: stricter limits cost energy, which this accuracy does not allow.
+        The result is that of `is_astray`, but always False if `solver.accuracy` of the scenario is
+        "proof". If the simulated flight breaks no limit, the method `keep_limits` solves nothing.
         """
+        # Stricter limits cost energy, which the accuracy "proof" does not allow.
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
     def keep_limits(self) -> str | None:
@@ -554,7 +559,8 @@ class Candidate:
     def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
         """Return whether a plan with stricter limits needs less energy than the solution `relaxed`.
 
-        The difference must exceed the solver's relative tolerance.
+        The result is True if the relative difference exceeds the solver's tolerance. In this case,
+        `relaxed` is a local optimum and not the global one.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
         return least - plan.energy > tolerance * abs(least)

@@ -542,8 +542,9 @@ class ThrustEnvelope:
     def _reach(self, along: float, upward: float, planned: Sequence[float]) -> float:
         """Return the largest acceleration [m/s^2] in a direction, within thrust and tilt limits.
 
-        `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction. A limit that the acceleration `planned` [m/s^2] exceeds is raised to it.
+        `along` and `upward` are the horizontal and vertical components of the direction's unit
+        vector. If the acceleration `planned` [m/s^2] exceeds a limit of thrust or tilt, it replaces
+        this limit.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -657,8 +658,9 @@ class AdaptiveController:
     ) -> list[float]:
         """Return the controller's states at the start of a flight or of a new reference.
 
-        `body` has the values of `MEASURED_STATES`. `last` has the final states for the previous
-        reference, if any. Only the position loop is then reset; the attitude command has no jump.
+        `body` has the values of `MEASURED_STATES`. `last` has the controller's final states for
+        the previous reference, or is None at the start of a flight. If `last` is given, only the
+        position loop is reset, so that the attitude command has no jump.
         """
         position, velocity, attitude, body_rates = body[0:3], body[3:6], body[6:9], body[9:12]
         angle_rates = self._kinematics.angle_rates(attitude, body_rates)
@@ -682,9 +684,10 @@ class AdaptiveController:
         """Return the controller's input, computed from a reference path at time t [s].
 
         The input is the argument `command` of the controller; for its numbers, see `COMMAND_SIZE`.
-        If the reference is a plan, all numbers are those at time t. For any other reference, some
-        are zero: the rates and accelerations of roll and pitch, and the accelerations of a plan.
-        The accelerations that the tilt is to give are then those at a slightly later time.
+        If the reference is a plan, all numbers are those at time t. For any other reference, the
+        numbers that only a plan has are zero: the rates and accelerations of roll and pitch, and
+        three planned accelerations. The two accelerations that determine the commanded tilt are
+        those at a later time. The tilt of the vehicle lags behind its command by this time.
         """
         place, rate, acceleration, tilting = reference(t)
         # Mass of the payload released so far [kg].
@@ -760,11 +763,11 @@ class AdaptiveController:
         command: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the accelerations of the commanded tilt [rad/s^2], and the rates of `states`.
+        """Return accelerations of filtered roll and pitch [rad/s^2], and the rates of `states`.
 
-        `states` are commanded roll and pitch [rad], and their rates [rad/s]. They follow the tilt
-        for the commanded `force` in world axes [N] at the measured `yaw` [rad]. `command` is the
-        controller's input.
+        `states` are filtered roll and pitch [rad], and their rates. They follow the angles that
+        point the thrust along `force` at the measured `yaw`. `command` is the result of the method
+        `command`.
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [
@@ -781,7 +784,6 @@ class AdaptiveController:
             self._tilt_acceleration_max,
             strict=True,
         ):
-            # The filter smooths the roll and pitch that point the thrust along the force.
             closing = known_rate + braking_rate(target - angle, self._tilt_gain, most)
             correction = bend(_CRITICAL * self._tilt_gain * (closing - rate), most)
             accelerations.append(known_acceleration + correction)

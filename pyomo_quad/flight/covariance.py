@@ -119,12 +119,14 @@ def propagated(
 ) -> tuple[FloatArray, FloatArray]:
     """Propagate the covariance of the states of a linear system over n steps.
 
-    `noise` has the input matrices of random numbers drawn anew in each step, `constants` of those
-    drawn once. The results are the n + 1 covariances, and those between states before (rows) and
-    after (columns) each step.
+    Step k replaces the states x by F_k x + G_k w_k + H_k c. The matrices F_k, G_k and H_k are entry
+    k of `transitions`, `noise` and `constants`. The random vector w_k is drawn in each step, and c
+    once for all steps. Their components are independent, with unit variance. `start` is the
+    covariance before the first step.
+
+    The results are the n + 1 covariances of x, and those between x before (rows) and after
+    (columns) each step.
     """
-    # The random numbers are independent, with unit variance. `transitions` has the shape
-    # (n, n_x, n_x), and `noise` (n, n_x, n_noise).
     n, n_x, n_constants = constants.shape
     gusts = [start]
     # Responses of the states to each constant, which acts with one value in all steps.
@@ -164,7 +166,9 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
 class _MeanFlight:
     """Flight of a plan under feedback without gusts, and the closed loop linearised along it.
 
-    A joint state has the states of vehicle, turbulence filters and controller, and the energy.
+    A joint state has the states of vehicle, turbulence filters and controller, and the energy. Rows
+    of `joint` and `commands` are joint states and inputs of the controller at the times `t` [s],
+    from the method `flown`.
     """
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
@@ -227,8 +231,8 @@ class _MeanFlight:
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
         """Return the derivatives of the joint state's rates by the uncertain parameters.
 
-        Each is for a change by one standard deviation. The result has shape (n, n_joint,
-        n_parameters).
+        Each is for a change by one standard deviation. `commands` has the controller's inputs at
+        the times `t` [s], shape (n, COMMAND_SIZE). The result has shape (n, n_joint, n_parameters).
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)

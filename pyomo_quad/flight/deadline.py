@@ -120,7 +120,11 @@ class Deadline:
 
     @property
     def is_over(self) -> bool:
-        """Whether the time limit of this block had passed at the last check."""
+        """Whether the time limit of this block had passed at the last check.
+
+        Each iteration of Ipopt calls this object, which checks the limit. Simulations check it by
+        `keep_time`.
+        """
         return self._watch.is_over
 
 

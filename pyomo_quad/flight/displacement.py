@@ -2,7 +2,9 @@
 
 Between its collocation points, the path of a coarse solution may cut corners of zones. A vehicle
 that follows it under feedback then enters the zones too (`flight.tracking`). The path is therefore
-displaced. If a simulation confirms it, the coarse solution becomes a usable plan of lower accuracy.
+displaced. A simulated flight follows the displaced path. If this flight reaches the goal within the
+limits, the coarse solution becomes a usable plan of lower accuracy.
+
 A displacement is a sum of pushes, each of which moves the path by one vector during a time span.
 See docs/theory/tracking.md, eq. (8).
 """
@@ -92,14 +94,14 @@ def limits_along(dynamics: Dynamics, flown: Flown) -> list[LimitValues]:
 
 
 def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) -> Displacement:
-    """Return displacements of a flight's path that lead the flight out of keep-out zones.
+    """Return displacements that lead a flight's path back within the limits of the airspace.
 
-    Each time span inside a zone gets one push, the shortest way out and somewhat beyond. `limits`
-    has all limits along the flight (see `limits_along`). Those of the airspace count as zones, and
-    others are ignored. The samples of `flown` must be dense near the zones.
+    These limits are keep-out zones, fence, floor and ceiling. Each time span with a violation gets
+    one push, the shortest way back and somewhat beyond. `limits` has all
+    limits along the flight (see `limits_along`); limits that do not belong to the airspace are
+    ignored. The samples of `flown` must be dense near the limits of the airspace.
     """
-    # See docs/theory/tracking.md, eq. (8). Limits of the airspace are keep-out zones and, for
-    # example, the least height above the ground.
+    # See docs/theory/tracking.md, eq. (8).
     found: list[Push] = []
     for name, depth in _depths(limits).items():
         for first, after in spans_where(depth > 0.0):

@@ -173,8 +173,9 @@ class EnsembleSimulation:
     scenario : Scenario
         The mission, with fixed times, and the vehicle as the controller assumes it.
     dynamics : Dynamics
-        Equations of the vehicle in the wind, without random errors (of forecast, mass or power) and
-        gusts. These are parameters in `varied`, whose values the method `fly` takes.
+        Equations of the vehicle in the wind. The gusts and the random errors of forecast, mass and
+        power are parameters of these equations. `varied` names these parameters, and the method
+        `fly` takes their values for each flight.
     reference : callable
         Takes a time [s] and returns the `Setpoint` to follow.
     varied : sequence of str

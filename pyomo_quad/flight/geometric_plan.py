@@ -97,9 +97,9 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 def smooth_flight(mission: MissionProblem, journey: Journey) -> dict[str, Any] | None:
     """Return a flight along the routes of a journey with smooth corners, as an initial guess.
 
-    The keys are "time" (fractions of the horizon), "duration" [s] and names of states. None if the
-    vehicle has no steady flight, or the path no allowed duration. See
-    docs/theory/geometric_plan.md, eqs. (5) and (6).
+    The keys are "time" (fractions of the horizon), "duration" [s] and names of states. The result
+    is None if the vehicle has no steady flight, or no allowed duration is long enough for the path.
+    See docs/theory/geometric_plan.md, eqs. (5) and (6).
     """
     told = mission.told
     try:
@@ -121,9 +121,9 @@ def _first_usable(
 ) -> Plan | None:
     """Return the first plan along a journey that a simulation confirms as usable.
 
-    At most three paths, with speeds up to `fastest` [m/s], are simulated. The error estimate of a
-    plan compares its energy with `least_energy` [J]. If none is confirmed, the result is the last,
-    or None without any.
+    At most three paths, with speeds up to `fastest` [m/s], are simulated. Error estimates compare
+    energies with `least_energy` [J]. If none is confirmed, the result is the last simulated plan,
+    if any.
     """
     found: Plan | None = None
     flown, is_free = 0, mission.told.mission.is_free
@@ -153,8 +153,9 @@ def _first_usable(
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
     """Return a smooth path along a journey, with a duration that the mission allows.
 
-    `pace` limits speed and accelerations. If the resulting duration is not allowed, only `fastest`
-    [m/s] limits the speed. The result is None if no allowed duration is long enough.
+    `pace` limits speed and accelerations. If the resulting duration is not allowed, `fastest` [m/s]
+    replaces the speed in `pace`. The path then takes the nearest allowed duration. None if this is
+    too short.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits
@@ -186,11 +187,12 @@ def _stops(told: Scenario, journey: Journey) -> list[Stop]:
 
 
 def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
-    """Return the greatest speed of a path along a journey [m/s].
+    """Return the greatest speed allowed on paths along a journey [m/s].
 
-    If the duration is free, it is at most the speed of least cost per metre along the longest leg.
-    The cost is the energy plus the price of time [W] times the duration.
+    It is 95 % of the mission's speed limit, or 30 m/s without one. If the duration is free, it is
+    at most the speed of least cost per metre along the longest leg.
     """
+    # The cost is the energy plus the price of time [W] times the duration.
     limit = told.limits.speed_max
     greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
     ways = [route.places[-1] - route.places[0] for route in journey]
@@ -247,8 +249,8 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
     """Return the energy of steady flight along a journey [J], an estimate of the least energy.
 
-    If the duration is free, the speed is `fastest` [m/s], the greatest speed of a path. Otherwise,
-    it is the mean speed between hovers. Implements docs/theory/geometric_plan.md, eq. (7). Raises a
+    For a free duration, the speed is `fastest` [m/s], from `_fastest`. Otherwise, it is the mean
+    speed. Implements docs/theory/geometric_plan.md, eq. (7). Raises a
     SolveError if there is no steady flight.
     """
     steady, told = mission.steady, mission.told.mission
@@ -326,10 +328,11 @@ def _flat(
 
 
 def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> FloatArray:
-    """Return the acceleration of the vehicle with zero controls at n times [m/s^2], shape (n, 3).
+    """Return the acceleration of the vehicle in given states at n times [m/s^2], shape (n, 3).
 
-    The columns are along world x, y and z.
+    The columns are along world x, y and z. The rotor speeds in `states` determine the thrust.
     """
+    # The controls, rotor accelerations, do not act on the translation. They are set to zero.
     none = np.zeros(len(dynamics.control_names))
     rows = zip(times.tolist(), states, strict=True)
     rates = np.array([dynamics.rates(t, row, none) for t, row in rows])

@@ -48,9 +48,10 @@ def shortest_flight(
     """Solve for the least duration in which a mission is possible.
 
     The duration is the objective of the result [s], and replaces the objective of `model`. If
-    `is_exact`, its relative tolerance is 1e-4. Otherwise, it is `solver.tolerance`; the refinement
-    then ends after three meshes unless the duration is within 0.2 % of the mission's. None if the
-    first solve fails or is stopped. Raises the ScenarioError of `declared_free_times`.
+    `is_exact`, its relative tolerance is 1e-4. Otherwise, the tolerance is `solver.tolerance`.
+    In this case, refinement ends after three meshes unless the result is within 0.2 % of the
+    nominal duration. The result is None if the first solve fails or is stopped. Raises
+    the ScenarioError of `declared_free_times`.
     """
     duration, settings = scenario.nominal_duration, scenario.solver
     bounds = _RANGE[0] * duration, _RANGE[1] * duration
@@ -87,9 +88,9 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
     """Return nominal time [s] -> Pyomo variable, for each time that a solve is free to choose.
 
     These times are a free duration, and the arrival and (after a hover) departure at waypoints.
-    The nominal time is an estimate, and a member of the model's time set. The model declares
-    constraints at a free time at its nominal time. Raises a ScenarioError if a user's own model
-    lacks a variable.
+    The nominal time is an estimate, and a member of the model's time set. The constraints that the
+    model declares at this member hold at the free time. Raises a ScenarioError if a user's own
+    model lacks the variable "duration" or "mission.passing_time" that the mission needs.
     """
     mission = scenario.mission
     wanted = {"duration": mission.is_free, "mission.passing_time": bool(mission.waypoints)}

@@ -166,9 +166,10 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight breaks a limit without margin at the goal or at a waypoint.
+        """Probability that a flight breaks a limit at the goal or a waypoint that has no margin.
 
-        It is the sum over these limits. An example is the limit on the distance from the goal.
+        The value is an upper bound: the sum of the probabilities for each of these limits. An
+        example is the limit on the distance from the goal.
         """
         # Every plan already reaches the goal exactly, so that no margin tightens these limits. A
         # plan that leaves the rotors a larger reserve of thrust breaks them less often.
@@ -209,8 +210,8 @@ class MarginSearch:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
     Each plan is tested by simulated flights in turbulence. A test flight fails if it breaks any
-    limit. It misses the goal if it ends too far away or too fast. The reserve is the part of rotor
-    speed, thrust and tilt that the margins leave to the controller.
+    limit. It misses the goal if it ends too far away or too fast. Margins on rotor
+    speed, thrust and tilt leave a reserve of these to the controller.
 
     A `_Tried` is a plan with its margins, and with the predicted statistics of flights that follow
     it. A `_Tested` also has the results of its test flights.
@@ -255,8 +256,9 @@ class MarginSearch:
     def is_beyond_the_controller(self) -> bool:
         """Return whether the controller is too weak for the allowed risk, whatever the margins.
 
-        This is so if flights along the plan without margins are predicted to miss the goal, and
-        gusts carry at least the fraction `risk` of hovering vehicles away.
+        The result is True if two conditions hold. Flights along the plan without margins are
+        predicted to miss the goal. Of simulated vehicles that hover at the goal in turbulence, at
+        least the fraction `risk` miss it, too.
         """
         # Hovers are simulated only if flights along the plan without margins are predicted to miss
         # the goal. Such flights are expected to miss it at least as often as hovering vehicles.
@@ -304,8 +306,8 @@ class MarginSearch:
     def _examined(self, tried: _Tried) -> _Tested:
         """Test a plan by simulated flights, and test it again on a refined mesh if worthwhile.
 
-        It is worthwhile if the plan's mesh is not refined yet, and few flights miss the goal. Few
-        are at most as many as may fail.
+        The second test is made if the mesh is not refined yet, and at most 200 * `risk` flights
+        miss the goal.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
@@ -325,8 +327,8 @@ class MarginSearch:
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
         """Reduce margins that cost much energy, if test flights confirm it.
 
-        `best` is a plan that passed its test, and the result if no cheaper plan does. New margins
-        are halfway from those of `best` to those of the last plan in `failed`, or zero.
+        `best` passed its test, and is the result if no cheaper plan passes. New margins are halfway
+        to those of the last plan in `failed`, or halved if `failed` is empty.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -355,8 +357,8 @@ class MarginSearch:
     def unfinished(self, why: str) -> Plan:
         """Return the last plan that simulation without turbulence confirmed.
 
-        The search ended early, for the reason ``why``, which the record `risk` of the plan states.
-        The plan's risk is unknown, because the record counts no test flights in turbulence.
+        It is the result of a search that ended early, for the reason ``why``. The plan's record
+        `risk` states this reason. The record counts no test flights, even if some were simulated.
         """
         plan, margins = self._last
         taken = RiskTaken(
@@ -395,10 +397,10 @@ class MarginSearch:
         return replace(tried.plan, risk=taken)
 
     def _verified(self, tried: _Tried) -> _Tried:
-        """Refine the mesh of a plan with margins, and return the new plan, verified by simulation.
+        """Refine the mesh of a plan with margins, and return the new plan, checked by simulation.
 
-        If the new plan is flyable, it is also stored. The method `unfinished` returns the plan
-        stored last. A plan whose mesh is refined already is returned unchanged.
+        If the simulation confirms the new plan, it is stored for the method `unfinished`. A plan
+        whose mesh is refined already is returned unchanged.
         """
         if tried.is_refined:
             return tried
@@ -414,8 +416,8 @@ class MarginSearch:
     def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
-        `margins` has the amounts of the tightening. With the margin `HOLD`, the plan begins hovers
-        early. The result states the times at which flights must begin them.
+        `margins` has the amounts of the tightening. The plan begins hovers early by the amount
+        `HOLD` [s]; `passing_times_s` of the result states the required times.
         """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -448,7 +450,8 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        It is the cheapest such plan that is found, or else the plan least likely to miss the goal.
+        The search starts from `tried`, and returns it if it leaves enough. Otherwise, the result is
+        the cheapest such plan found, or that least likely to miss.
         """
         if self._is_followed(tried):
             return tried

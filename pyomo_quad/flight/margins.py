@@ -78,10 +78,11 @@ class RiskTaken:
     asked : float
         Allowed risk.
     predicted : float
-        Risk predicted by a linear model; 1 if the search for margins ended before any test flight.
+        Risk predicted by a linear model; 1 if `flown` is 0, because the search ended early.
     failed, flown : int
-        Number of test flights that broke a limit, and number of all test flights. The margins were
-        found without these flights.
+        Number of test flights of this plan that broke a limit, and number of all its test flights.
+        The plan's margins were computed before these flights, from a linear model and from test
+        flights of earlier plans.
     is_satisfied : bool
         Whether the fraction of failed test flights is at most the allowed risk.
     margins : mapping
@@ -226,10 +227,11 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
-    """Return the times [s] at which flights that follow a plan must pass the waypoints.
+    """Return the times [s] at which flights that follow a plan must be at the waypoints.
 
-    With a margin `lead` [s] on hovers, the plan begins each hover by `lead` earlier than required.
-    Flights may therefore arrive by `lead` later than planned.
+    `planned` has the times [s] at which the plan reaches the waypoints. The plan begins each hover
+    earlier than required, by the margin `lead` [s]. The result is therefore `planned`, plus `lead`
+    at waypoints with a hover.
     """
     return tuple(
         at + (lead if waypoint.hold else 0.0)
@@ -240,9 +242,10 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that leaves room for the mission.
 
-    For rotor speed and thrust, it is 0.8 (limit - value in hover / (1 - `limits.reserve`)). For
-    other fields of `limits`, it is 80 % of the limit. For floor, ceiling and clearance, start,
-    waypoints and goal stay 1 cm within the tightened limit.
+    A plan may use only the share 1 - `limits.reserve` of rotor speed and thrust. For these two, the
+    result is 0.8 (limit - value in hover / (1 - `limits.reserve`)). For other fields of `limits`,
+    it is 80 % of the limit. For floor, ceiling and clearance, start, waypoints and goal stay 1 cm
+    within the tightened limit.
     """
     # With a larger margin, start, goal or a waypoint would lie outside the tightened limit, or the
     # vehicle could hardly hover. Even with a smaller margin, the mission may be infeasible.

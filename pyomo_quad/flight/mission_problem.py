@@ -184,8 +184,9 @@ class MissionProblem:
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
-        If the solve of the mission itself fails on a refined mesh, the continuation is repeated on
-        that mesh. The defaults are the model's guess and the scenario's mesh.
+        The last solve has the mission's own parameter values, and refines the mesh. If it fails on
+        a refined mesh, the continuation is repeated on that mesh. The defaults are the model's
+        guess and the scenario's mesh.
         """
         solution, easiest = self._by_way_of(self.easier, guess, mesh or self.arguments["mesh"])
         for _ in range(_MOST_RETURNS):
@@ -209,8 +210,8 @@ class MissionProblem:
     ) -> tuple[Solution, Solution | None]:
         """Solve the mission by continuation: with easier parameter values first, then with its own.
 
-        The result is the last solution, and the first converged one with easier values or None. A
-        given solution `reached` is this first one, and replaces `guess` and `mesh`.
+        The results are the last solution, and the first converged one with easier values or None. A
+        given `reached` counts as the latter, and replaces `guess` and `mesh`.
         """
         first = reached
         for numbers in easier:
@@ -271,9 +272,10 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """Problem of an easier mission, exactly through the waypoints at any speed.
+        """Problem of a mission that is easier to solve, exactly through waypoints at any speed.
 
-        None if no waypoint has a radius or a speed limit.
+        It lacks the inequalities on distance and speed at waypoints, which make a first solve
+        difficult. None if no waypoint has a radius or a speed limit.
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)

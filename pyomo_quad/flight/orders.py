@@ -89,7 +89,7 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, the cheapest first.
 
     The result is exact for at most 12 places (`MOST_EXACT`), otherwise from a local search. It has
-    at most `count` orders; the last may contain legs that are not allowed.
+    at most `count` orders. Orders with legs that are not allowed may follow after all others.
     """
     return (exact_orders if len(costs) - 2 <= MOST_EXACT else search_orders)(costs, count)
 
@@ -206,7 +206,7 @@ def _named(order: IntArray) -> _Order:
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
     """Return the cost of each of several orders of places, shape (n_orders,).
 
-    Each row of `orders` has the places between start and goal, as indices in `costs`.
+    Each row of `orders` has the n places as row numbers in `costs`, 1 to n.
     """
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
@@ -215,7 +215,7 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
 def nearest_first(costs: FloatArray) -> IntArray:
     """Return the greedy order of places: the next place is always the cheapest one to reach.
 
-    The result has the row numbers of the places between start and goal. `costs` may hold lengths.
+    The result has the n places as row numbers in `costs`, 1 to n. `costs` may hold lengths.
     """
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
@@ -227,7 +227,7 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
     """Return the locally optimal order that steepest descent finds from an initial order.
 
     Each row of `neighbours` is the index array of a local change, from `_neighbours`. `order` has
-    the places between start and goal, as indices in `costs`.
+    the n places as row numbers in `costs`, 1 to n.
     """
     cost = _cost(costs, order[None])[0]
     while True:

@@ -106,7 +106,8 @@ class Pilot(StrEnum):
 class BodyFrame:
     """Body axes and rotor numbers of RotorPy's vehicle, relative to the scenario's model.
 
-    Entry k of `order` is the number of RotorPy's rotor k in the model. Both numbers count from 0.
+    RotorPy's body axes are those of the model, turned by `turn` about the z axis, from x to y.
+    RotorPy's rotor k is rotor `order[k]` of the model; both count from 0.
     """
 
     turn: float = 0.0
@@ -411,7 +412,7 @@ class OutsidePlant:
         """Return the closed loop's right-hand side for one period in which the law is smooth.
 
         `inside` is just after the start of the period, `last` is its end [s]. Before `inside`, the
-        law is evaluated there. The result raises a SolveError if the vehicle tumbles.
+        value at `inside` is used. The result raises a SolveError if the vehicle tumbles.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 

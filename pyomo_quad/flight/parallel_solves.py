@@ -2,8 +2,8 @@
 
 Each copy sends its solution back to this process, without the compiled problem, which this process
 has already. The transfer therefore takes a few milliseconds only. Each copy also sends back its
-best usable plan, which is the result if the search is stopped. The simulation of a usable plan
-meets wider tolerances on energy, goal and limits than those requested.
+best usable plan, which is the result if the search is stopped. A plan is usable if a simulation
+confirms it within less strict tolerances than those requested.
 """
 
 from __future__ import annotations
@@ -110,8 +110,9 @@ def _reduced(sent: object) -> Any:
 
 
 def _shared(place: int) -> object:
-    """Return the object with the index `place` in the list `_SHARED`.
+    """Return the object with the index `place` in the list `_SHARED` of compiled problems.
 
-    `pickle` calls this function in the original process, for an index that a copy has sent.
+    A forked copy sends this index instead of the compiled problem. When this process reads the
+    answer, `pickle` calls this function.
     """
     return _SHARED[place]

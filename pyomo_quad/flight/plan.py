@@ -427,10 +427,11 @@ class Plan(Summarised):
         Comparison of the plan with the simulation of its controls; None if the controls were not
         simulated.
     error_estimate : float
-        Estimate of the largest relative error of any state in any element of the mesh. If the
-        verification corrected the controls, `error_estimate` is the larger of this estimate and
-        abs(E - E_least) / E_least. Here E is the energy of the plan, and E_least the estimated
-        least energy of the mission.
+        Estimate of the largest relative error of any state in any element of the mesh. Before the
+        verification, the controls of a coarse solution are corrected: a simulated vehicle follows
+        the planned path under feedback. `error_estimate` of a corrected plan is the larger of this
+        estimate and abs(E - E_least) / E_least. Here E is the energy of the plan, and E_least the
+        estimated least energy of the mission.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
@@ -456,8 +457,8 @@ class Plan(Summarised):
     flown : Flown or None
         Samples of the simulated flight of the verification.
     risk : RiskTaken or None
-        Record of the risk, with margins and test flights. None for a plan without margins, which
-        may leave the controller no thrust for corrections.
+        Record of the risk, with margins and test flights. None for a plan without margins. A plan
+        without margins may use the whole thrust and leave the controller none for corrections.
     """
 
     scenario: Scenario
@@ -500,7 +501,7 @@ class Plan(Summarised):
         """Amounts by which limits were tightened for the plan, in the units of the limits.
 
         The key is the full name of a field of the scenario, such as "limits.thrust_max". The
-        mapping is empty for a plan that was made without a risk.
+        mapping is empty for a plan without a record `risk`, made without an allowed risk.
         """
         return {} if self.risk is None else self.risk.margins
 
@@ -706,8 +707,8 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If the rate is not above 0 and at most 1e5 Hz, or if the plan was loaded from a file,
-            which does not contain equations.
+            If the rate is not above 0 and at most 1e5 Hz. Also for any plan loaded from a file,
+            because some columns follow from equations, which the file does not contain.
 
         Examples
         --------

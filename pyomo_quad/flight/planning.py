@@ -43,8 +43,8 @@ class Planner(Problems):
         """Return a context manager for a series of solves that the user may stop together.
 
         The variable after ``as`` is a function that returns whether the user has stopped the
-        series. Here the function always returns False. A subclass for the command line asks for
-        Ctrl-C.
+        series. In this class, the function always returns False. In the command line's subclass, it
+        can return True after the user has pressed Ctrl-C.
         """
         return nullcontext(lambda: False)
 
@@ -66,8 +66,9 @@ class Planner(Problems):
             A plan of a similar scenario, or the initial point (warm start) that a plan file or a
             sweep has stored. The solve starts from its trajectory, and from its multipliers if both
             problems have the same equations. Candidate routes are then not compared. If the order
-            of the waypoints is open, the warm start is ignored. In a mission of least time, it is
-            used only if the minimum-time problem fails.
+            of the waypoints is open, the warm start is ignored. If the mission asks for the least
+            time, it is used only if the minimum-time problem fails. The planner then solves for the
+            least energy.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -123,8 +124,9 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for a flight in nearly the least duration of the mission.
 
-        If no least duration is found, the result is a plan of least energy from the initial guess
-        `start`, marked "not converged". `search` has the time limit, and records the progress.
+        If the minimum-time problem fails, the least energy is sought from the guess `start`. The
+        result is then always marked "not converged". `search` has the time limit, and records
+        progress.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

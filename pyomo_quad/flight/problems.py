@@ -31,9 +31,10 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return the scenario without the data on which its initial states do not depend.
+    """Return a key that is equal only for scenarios with equal initial states.
 
-    If two scenarios of fixed duration have equal results, their initial states are equal.
+    The scenarios must have fixed durations. The key is the scenario without wind, baseline settings
+    and duration.
     """
     # Duration, wind and settings of baseline flights do not affect the initial states.
     timeless = scenario.mission.model_copy(update={"duration": 1.0})

@@ -244,8 +244,8 @@ class SampledPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Outside the samples, the setpoint is constant: it has the position and acceleration of the
-        nearest sample, and zero velocity.
+        Outside the samples, the setpoint has the position and acceleration of the nearest sample,
+        and zero velocity. This suits samples that begin and end at rest.
         """
         row, is_inside = self._row(t)
         # A controller that looks ahead needs setpoints for times after the last sample.
@@ -260,8 +260,9 @@ class PlannedPath:
     times : ndarray, shape (n,)
         Increasing times [s].
     values, rates, accelerations : ndarray, shape (n, 4)
-        Samples of x, y, z [m] and yaw [rad] in columns, and their time derivatives. The second
-        derivatives are without the acceleration by the air.
+        Samples of x, y, z [m] and yaw [rad] in columns, and their first and second time
+        derivatives. `accelerations` exclude the part that the plan expects the air to cause, as in
+        `Setpoint`.
     tilt_rates : ndarray, shape (n, 2)
         Rates of roll and pitch [rad/s].
     """
@@ -286,8 +287,9 @@ class PlannedPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Outside the samples, the setpoint has the position and acceleration of the nearest sample,
-        and all rates are zero.
+        Before the first and after the last sample, the setpoint is a hover at this sample. All
+        rates are zero, and so are the accelerations of roll and pitch. The setpoint has the
+        sample's acceleration, which balances that caused by the air.
         """
         row, is_inside = self._row(t)
         moving = (row[4:8], row[12:]) if is_inside else (_AT_REST, _AT_REST)

@@ -1,8 +1,8 @@
 """Solves of the remaining mission during a flight (re-planning), with soft limits.
 
 A re-plan is a new plan for the rest of the mission, made in flight. It ends at the goal, or in the
-next hover at a waypoint. Its limits may be violated at a penalty (see `model.soft_limits`). The
-equations of the flight after each waypoint are compiled once, before take-off. For penalty and
+next hover at a waypoint. Its limits may be violated at a penalty (see `model.soft_limits`). For
+each waypoint, the problem of the mission after it is compiled before take-off. For penalty and
 initial state, see docs/theory/soft_limits.md, eqs. (1) to (3).
 """
 
@@ -107,10 +107,11 @@ _SPARE_M = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Belief:
-    """Estimates that a plan made in flight is based on: mass and acceleration by the air.
+    """Estimates that a plan made in flight is based on: mass, and acceleration caused by the air.
 
-    `mass` includes the payload at take-off [kg]. `unexplained` is the horizontal acceleration by
-    the air in excess of that by the assumed wind, along world x and y [m/s^2].
+    `mass` is the estimated mass at take-off, with all payload, even if some has been released since
+    [kg]. `unexplained` is the horizontal acceleration caused by the air, minus that caused by the
+    assumed wind, along world x and y [m/s^2].
     """
 
     mass: float
@@ -221,10 +222,10 @@ class Course:
     path : PlannedPath
         The plan as a reference path of the controller.
     belief : Belief
-        Mass and acceleration by the air that the plan assumes, from `estimate`.
+        Mass and horizontal acceleration caused by the air that the plan assumes.
     estimate : ndarray, shape (3,)
-        Estimate at the time of the solve: acceleration along world axes minus that by the equations
-        `Replanner.dynamics` [m/s^2].
+        Estimate at the time of the solve: the vehicle's acceleration along world axes minus that by
+        the equations `Replanner.dynamics` [m/s^2].
     """
 
     plan: Trajectories
@@ -237,8 +238,8 @@ class Replanner:
     """Solver of the remaining mission in flight, with the present estimates of mass and wind.
 
     The attribute `dynamics` has the equations that are assumed before take-off. States are in the
-    order of `dynamics.state_names`. The unexplained acceleration is the vehicle's acceleration
-    minus that by these equations.
+    order of `dynamics.state_names`. The methods call the vehicle's acceleration minus that by these
+    equations the unexplained acceleration. It shows errors of mass and wind.
 
     Parameters
     ----------
@@ -334,9 +335,10 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining missions before take-off, as initial points of the solves in flight.
 
-        `plan` is the plan made before take-off. The penalty on violations is increased until the
-        solutions keep the limits, docs/theory/soft_limits.md, eq. (2). If the solution of a
-        remaining mission still breaks limits after two increases, both increases are undone.
+        `plan` is the plan made before take-off. If a solution breaks limits, the penalty on
+        violations is increased for all later solves, and the solve is repeated. See
+        docs/theory/soft_limits.md, eq. (2). If the solution still breaks limits after two
+        increases, later solves use the penalty before these increases.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -356,8 +358,9 @@ class Replanner:
 
         The solve starts from the last converged solution. It may take 40 iterations or, if
         `is_patient`, 300 as in solves before take-off. `belief` has the mass and the acceleration
-        by the air that it assumes. `state` is in the order of `dynamics.state_names`. Raises a
-        TranscriptionError if the state is outside the hard limits of rotors and battery.
+        caused by the air that the re-plan assumes. `state` is in the order of
+        `dynamics.state_names`. Raises a TranscriptionError if the state is outside the hard limits
+        of rotors and battery.
         """
         rest = self.at(t)
         last = self._last.get(rest)
@@ -411,9 +414,9 @@ class Replanner:
     def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
         """Return a re-plan (new plan in flight) with its reference path for the controller.
 
-        `solution` is the solution of the re-plan. `belief` has the mass that the re-plan assumes,
-        and the horizontal acceleration that it adds to that by the assumed wind. Both follow from
-        `estimate`, the unexplained acceleration at the time of the solve [m/s^2].
+        `solution` is the solution of the re-plan. `belief` has the mass and the acceleration caused
+        by the air that the re-plan assumes. `estimate` is the unexplained acceleration at the time
+        of the solve, stored in the result [m/s^2].
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
@@ -431,9 +434,9 @@ class Replanner:
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
         """Return whether a flight has used up its margin to any limit in `margins.FIELDS`.
 
-        A margin, possibly zero, is used up if the vehicle is nearer to the limit than its plan by
-        more than the margin. The vehicle follows the plan in `course`. `state`, shape (n_states,),
-        is measured at time t [s].
+        A margin is used up if the vehicle is nearer to the limit than the plan is, by more than
+        this margin. Limits without a margin have the margin zero. The vehicle
+        follows the plan in `course`. `state`, shape (n_states,), is measured at time t [s].
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -455,9 +458,11 @@ class Replanner:
 
         The vehicle follows the plan in `course`; `state` is measured at time `start` [s]. The
         result is the planned state if the controller can correct the deviation from it. Otherwise
-        it is moved towards the measured state, just until the controller can correct the rest. The
-        thrust of the result balances `unexplained`: the present estimate of the unexplained
-        acceleration minus `course.estimate` [m/s^2]. See docs/theory/soft_limits.md.
+        it is moved towards the measured state, just until the controller can correct the rest.
+
+        `unexplained` is the present estimate of the unexplained acceleration, minus
+        `course.estimate` [m/s^2]. Attitude and rotor speeds of the result differ from the plan, so
+        that the thrust balances this acceleration. See docs/theory/soft_limits.md.
         """
         planned, later = self._states(course.plan, start, end)
         self._balance_added_acceleration(later, course.path(end), unexplained)

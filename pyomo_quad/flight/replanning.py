@@ -4,8 +4,8 @@ At constant intervals during a simulated flight, the rest of the mission is solv
 The re-plan begins at the time at which its solve is expected to end. An adaptive controller follows
 the newest plan, at first the plan made before take-off.
 
-Re-plans have soft limits, so that they exist if rotors and battery can reach the goal. See
-docs/theory/soft_limits.md.
+Re-plans may violate most limits at a penalty (soft limits), so that a re-plan can nearly always be
+found. The limits of rotors and battery are hard. See docs/theory/soft_limits.md.
 """
 
 from collections.abc import Callable
@@ -377,7 +377,8 @@ def fly_replanned(
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
     `dynamics` is the vehicle in the actual wind, and `knowledge` says which wind re-plans assume.
-    If `plan` is None or assumes another wind, a new plan is made before take-off. `computer` maps
+    If `plan` is None, or re-plans assume another wind than `plan`, a new plan is made before
+    take-off. `computer` maps
     processor times of solves to times aboard [s]. Raises a SolveError if there is no plan before
     take-off, or the flight is out of control.
     """

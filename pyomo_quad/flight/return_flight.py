@@ -1,9 +1,9 @@
 """Airspeed and battery currents of a vehicle's steady return flight.
 
 A mission may reserve battery charge for a return to the start or to a rally point. The airspeed
-minimises the charge per metre over the ground, against the wind at the mission's start. The current
-is that at the lowest allowed state of charge, where the voltage is lowest. Over terrain the return
-begins with a climb. See docs/theory/homing.md.
+minimises the charge per metre over the ground, against the wind at the mission's start. Over
+terrain, the return begins with a climb, which has its own current. Both currents are those at the
+lowest allowed state of charge, where the voltage is lowest. See docs/theory/homing.md.
 """
 
 from typing import TYPE_CHECKING

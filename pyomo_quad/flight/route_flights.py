@@ -67,7 +67,8 @@ class RouteFlights:
 
     Candidates are the shortest journeys. Unless the accuracy is `proof`, those of high estimated
     cost are left out. In a wind field, candidates are up to four journeys of least energy in steady
-    flight, and the shortest one. If their number is given, they are the shortest there, too.
+    flight, and the shortest one. If a method is given the number of candidates `most`, they
+    are the shortest journeys in a wind field, too.
 
     Parameters
     ----------
@@ -119,11 +120,13 @@ class RouteFlights:
         return self.compared(journeys)
 
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve the mission along given journeys; return the best solution and the result of each.
+        """Solve the mission along given journeys; return the best solution and all results.
 
-        The best solution is refined, or failed if no solve converges. A journey has no result if
-        the solve along another one led to the same flight. It is not solved if the solution along
-        an earlier one is as good by docs/theory/routes.md, eq. (1).
+        The best solution is refined; its status is failed if no solve converges. There is one
+        result for each different flight: journeys whose solves lead to one flight share a result. A
+        journey is left out if it passes all zones that an earlier solution touches on the same
+        sides (docs/theory/routes.md, eq. (1)). None is left out at the
+        accuracy `proof` or in a wind field.
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey, solution in self._each_flown(journeys):
@@ -241,8 +244,8 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys along which the mission is solved, at most `most` of them.
 
-        The candidates of `RouteFlights` are in order of length. In a wind field, if `most` is None,
-        they are in order of energy, and the shortest journey is last.
+        In a wind field, if `most` is None, they are in order of energy, and the shortest journey is
+        last. Otherwise, they are in order of length.
         """
         told = self._scenario
         journeys = self._mission.journeys[:most]
@@ -282,10 +285,11 @@ class RouteFlights:
         return cost
 
     def _fly_first(self, journey: Journey, *, is_alone: bool) -> Solution:
-        """Return the solution along the first journey, or the one given to the constructor.
+        """Return the solution along the first journey.
 
-        If there is no other journey (`is_alone`), a mission with several local optima is solved
-        from two initial guesses.
+        If the constructor was given a solution, this solution is returned without a solve. If there
+        is no other journey (`is_alone`), a mission with several local optima is solved from two
+        initial guesses.
         """
         if self._known is not None:
             return self._known
@@ -312,9 +316,9 @@ class RouteFlights:
     ) -> Solution:
         """Solve the mission from a guess along a journey, on the coarse mesh for comparisons.
 
-        The default guess follows the lines of the journey in the nominal duration. If a solve
-        fails, it and all later solves start from the easier mission
-        `MissionProblem.past_waypoints`, if there is one.
+        The default guess follows the lines of the journey in the nominal duration. If a solve fails
+        and there is an easier mission `MissionProblem.past_waypoints`, the solve is repeated. This
+        and all later calls first solve the easier mission, and use its solution as the guess.
         """
         told, mission = self._scenario, self._mission
         if guess is None:
@@ -344,8 +348,8 @@ class RouteFlights:
     def _improve(self, known: dict[int, Solution], journey: Journey) -> None:
         """Replace the best solution by a better local optimum, if solves from new guesses find one.
 
-        `known` (number of a journey -> solution) is changed in place. The new guesses are faster
-        flights along the best solution, and the lines of `journey`. See docs/theory/routes.md.
+        `known` (number of a journey -> solution) is changed in place. The new guesses are the path
+        of the best solution, flown faster, and the lines of `journey`. See docs/theory/routes.md.
         """
         first, options = _cheapest(known)[0], self._rough_options()
         if known[first].status.has_failed:
@@ -380,8 +384,8 @@ class RouteFlights:
         """Solve the mission again from the path of a solution, flown in another time.
 
         The initial guess lasts `share` times as long as `flown`; the end time of the mission is
-        free. The solve has the given `options`, by default those for coarse solves, but at most 60
-        iterations.
+        free. The solve has the given `options`, by default those for coarse solves. With any
+        options, it takes at most 60 iterations on each mesh.
         """
         guess, chosen = guess_from(flown, share), options or self._rough_options()
         return self._mission.solve_roughly(
@@ -399,8 +403,8 @@ class RouteFlights:
     def _fly_beside(self, journey: Journey) -> Solution:
         """Solve along one of several journeys, without effect on the solves along the others.
 
-        The result of a failed solve has a failed status. After a failure, `fly` begins all later
-        solves with an easier mission; after this method, it does not.
+        If the solve fails, the result has a failed status. Later calls of `fly` do not begin with
+        an easier mission, unlike those after a failure of `fly`.
         """
         # After a failed solve, `fly` sets this flag, with which it solves an easier mission first
         # for every later journey.
@@ -413,8 +417,9 @@ class RouteFlights:
         """Refine the mesh of a solution and solve again, on at most `meshes` meshes.
 
         The present mesh is counted. If `meshes` is None, the mesh is refined to the mission's
-        tolerance. If braking rotors return energy and `solver.max_refinements` is 0, the solution
-        is returned unchanged.
+        tolerance. If `solver.max_refinements` is 0, a solution with regeneration is returned
+        unchanged. Without regeneration, coarse solves have easier parameter values, so that the
+        mission is always solved again.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -481,9 +486,9 @@ def guess_along(
 
     The result has samples of "time" [s] and of states. `times` [s] has arrival and departure at
     each waypoint, and the end. If `is_open`, the duration is free, and "time" has fractions of it.
-    Without waypoints, the result then also has "duration" [s]. With waypoints, the model has the
-    initial guesses of all times. If `is_even`, legs are flown at constant speed, otherwise from
-    rest to rest.
+    Without waypoints, the result of an open duration also has "duration" [s]. With waypoints, the
+    model itself has initial guesses of the duration and of the times at the waypoints. If
+    `is_even`, legs are flown at constant speed, otherwise from rest to rest.
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
@@ -502,10 +507,11 @@ def guess_along(
 
 
 def guess_from(flown: Solution, share: float) -> dict[str, Any]:
-    """Return the path of a solution with another duration, as an initial guess of a solve.
+    """Return the path of a solution, flown in another duration, as an initial guess of a solve.
 
-    The duration is multiplied by `share`, and velocities are divided by it. "time" has fractions of
-    the horizon, "duration" the end time [s].
+    The duration is that of `flown` times `share`; velocities are divided by `share`. The keys of
+    the result are "time" (fractions of the horizon), "duration" (new end time [s]) and names of
+    states.
 
     Examples
     --------
@@ -525,7 +531,8 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides on which a solution really passes the zones.
 
-    The solve may move the path of its initial guess, along `journey`, to another side of a zone.
+    `told` is the scenario of the mission. The initial guess of the solve led along `journey`; the
+    solution may pass a zone on another side than the guess.
     """
     track = solution.trajectory.states[:, _position_columns(solution)]
     times = solution.timeline.time(np.append(0.0, solution.mesh.point_fractions))
@@ -555,8 +562,9 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
     """Return the zones that a flight touches on each leg, and the side on which it passes each.
 
     A flight touches a zone if it comes within 0.1 m of the zone's clearance. Each leg has a set of
-    pairs (name of a zone, side), see docs/theory/routes.md, eq. (1). `journey`, along which the
-    initial guess leads, names the zones of each leg.
+    pairs (name of a zone, side), see docs/theory/routes.md, eq. (1). `told` is the scenario of the
+    mission. `journey` is that of the solution's initial guess; only the zones that it names for a
+    leg are examined.
     """
     mesh, columns = solution.mesh, _position_columns(solution)
     inner = np.linspace(0.0, 1.0, _LOOKS, endpoint=False)

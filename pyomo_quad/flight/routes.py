@@ -135,8 +135,8 @@ def find_routes(
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
     """Return the names of the keep-out zones that block every route between two places.
 
-    If there are zones whose removal alone opens a route, they are the result. Otherwise it is a
-    minimal set of zones that together block every route.
+    If the removal of a single zone opens a route, the result has every zone of this kind. Otherwise
+    the result is a minimal set of zones that together block every route.
     """
     zones = airspace.keep_out
 
@@ -419,8 +419,8 @@ class SpeedProfile(NamedTuple):
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:
     """Return the fastest motion from rest to rest over a positive distance [m], with limited jerk.
 
-    `speed`, `acceleration` and `jerk` are the largest magnitudes allowed [m/s, m/s^2, m/s^3]. Some
-    of the seven phases may have zero duration.
+    `speed`, `acceleration` and `jerk` are the largest magnitudes allowed [m/s, m/s^2, m/s^3]. The
+    result has seven phases of constant jerk. Over a short distance, some have zero duration.
     """
     # On a leg that is too short to reach the speed, the phase of constant speed has no duration. On
     # an even shorter leg, the peak acceleration is lower, too.
@@ -467,8 +467,10 @@ def cruise_at(
     """Return the mission with the passing times and the duration of an autopilot's cruise.
 
     `speed` [m/s] replaces the scenario's cruise speed. The vehicle hovers at the goal for
-    `settling_s` [s], or longer if the mission would otherwise end before `least_s` [s]. Raises a
-    ScenarioError if zones block a leg, all places are the same, or there is no single cruise speed.
+    `settling_s` [s], or longer if the mission would otherwise end before `least_s` [s].
+
+    Raises a ScenarioError if zones block a leg, or if all places are the same. It is also raised if
+    `speed` is None and the scenario has no cruise speed, or several.
     """
     told = scenario
     if speed is not None:

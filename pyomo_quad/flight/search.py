@@ -84,6 +84,10 @@ class Search:
     It is the progress callback of all solves, and stops Ipopt when the time is used up. A search
     that is stopped returns the best usable plan.
 
+    If there is no usable plan after somewhat more than a second of solves, the callback tries to
+    make one without an optimisation. This plan is called the first plan. The method `begin_with`
+    sets the function that makes it.
+
     Attributes
     ----------
     deadline : Deadline
@@ -137,10 +141,10 @@ class Search:
         return self.work - self._patient_from < _PATIENCE
 
     def begin_with(self, make_first: Callable[[], Plan | None]) -> None:
-        """Set the function that makes the first usable plan, if the search takes long.
+        """Set the function that makes the first plan of the search.
 
         `make_first` returns a simulated plan or None. It is called at most once, if there is no
-        usable plan after somewhat more than a second.
+        usable plan after somewhat more than a second of solves.
         """
         self._make_first = make_first
 
@@ -148,8 +152,7 @@ class Search:
         """Prepare this copy of a search for solves in a forked process.
 
         The method is called in the forked process. The copy shows no progress, and does not make
-        the first usable plan (see `begin_with`). `spent_s` is the processor time of the search
-        before the fork [s].
+        the first plan. `spent_s` is the processor time of the search before the fork [s].
         """
         self._make_first = self._show = None
         # The clock of a forked process starts at zero.
@@ -167,7 +170,7 @@ class Search:
     def _begin(self) -> None:
         """Make the first plan of the search, and store it if it is usable.
 
-        The function set by `begin_with` is called at most once.
+        If there is a usable plan, or if the first plan was already tried, nothing happens.
         """
         make, self._make_first = self._make_first, None
         if make is None or self.usable is not None:
@@ -179,11 +182,11 @@ class Search:
         self.stage = stage
 
     def restart_patience(self) -> None:
-        """Make the property `is_early` true again for about two seconds of solves.
+        """Start the first seconds of the search again, for a new series of solves.
 
-        The delay of more than a second, after which the first usable plan is made (see
-        `begin_with`), starts again, too. This method is called when the order of the
-        waypoints has been chosen, before the whole mission is solved.
+        The property `is_early` becomes true for about two seconds of solves. The delay of the first
+        plan starts again. The method is called when the order of the waypoints has been chosen,
+        before the whole mission is solved.
         """
         self._patient_from = self.work
 
@@ -198,8 +201,8 @@ class Search:
     def __call__(self, iteration: Iteration) -> bool:
         """Record an iteration of Ipopt, and return whether Ipopt may continue.
 
-        It may not if the search is stopped, is beyond its time limit, or has cost more than the
-        limit set by `begin_effort`. The call may also make the first plan, see `begin_with`.
+        Ipopt may not continue if the user or the time limit stops the search, or if `effort`
+        exceeds the limit set by `begin_effort`. The call makes the first plan if its delay is over.
         """
         self._last = iteration
         self.work += iteration.mesh_points

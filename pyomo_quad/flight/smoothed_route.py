@@ -243,8 +243,8 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
 def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
     """Return the smooth path: the moving average over time of a motion along straight lines.
 
-    `corners` are the ends of the lines. `lasting` is the duration of the path [s], by default that
-    of the motion. Implements docs/theory/geometric_plan.md, eq. (3).
+    `lasting` is the duration of the path [s], by default that of the motion. A longer path ends
+    with rest at the last corner. Implements docs/theory/geometric_plan.md, eq. (3).
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before
 

@@ -57,7 +57,7 @@ def shifts_within_limits(
 
     Only limits on tilt, speed and rotor speed count. A time span beyond a limit gives a shift if
     its largest excess is above 0.5 * `tolerated` * max(1, m). Here m is the largest magnitude of
-    the limited quantity. Implements docs/theory/tracking.md, eq. (9).
+    the limited quantity along the flight. Implements docs/theory/tracking.md, eq. (9).
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def shifts_within_limits(
     limits : sequence of LimitValues
         Values and bounds of the limited quantities along the flight.
     tolerated : float
-        Tolerated violation of a limit, relative to the larger of 1 and the limit.
+        Tolerated violation of a limit, relative to max(1, m).
     """
     found: list[StateShift] = []
     for limit in limits:

@@ -234,7 +234,7 @@ class SteadyFlight:
 
         `drawn` is counted from the full pack [A h]. `circuit` has relaxation voltage [V] and
         temperature [K], shape (n, n_circuit), if they are states; by default those in `trim`. The
-        reserve is the greatest power minus the power drawn.
+        power reserve is the battery's greatest power minus the power of the flight.
         """
         states = np.tile(trim.states, (len(drawn), 1))
         controls = np.tile(trim.controls, (len(drawn), 1))
@@ -248,8 +248,9 @@ class SteadyFlight:
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
         """Return the time for which a full battery sustains a steady flight [s].
 
-        `depth` is the fraction of the capacity that is drawn, `samples` the number of quadrature
-        points. The time is infinite if no charge is drawn, and zero if the battery is too weak.
+        The time is the integral of 1 / (charge rate) over the charge drawn, computed with `samples`
+        points. `depth` is the fraction of the capacity that is drawn. The time is infinite if no
+        charge is drawn, and zero if the battery is too weak.
         """
         drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
         rate, reserve = self.charge_rates(trim, drawn, self._circuit_under_load(trim, drawn))
@@ -332,10 +333,12 @@ class SteadyFlight:
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the total power [W] at equal, constant rotor speeds, which may be negative.
+        """Return the power [W] at equal, constant rotor speeds, without a lower limit of zero.
 
-        In a model without regeneration, the method `power` returns zero instead of a negative
-        power. `speed` has rotor speeds [rad/s]; the result has the same shape.
+        In a model without regeneration, the method `power` replaces a negative power of a rotor by
+        zero. This method returns the negative power, and leaves out the power of the electronics.
+        With regeneration, both methods are equal. `speed` has rotor speeds [rad/s]; the result has
+        the same shape.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         # Without regeneration, a braking rotor returns no energy (see `model.power`).
@@ -480,9 +483,9 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    Whatever the attitude, the required thrust is mass * (a - a_0). Here a is the acceleration of
-    the motion, and a_0 that by weight and air with stopped rotors. For drag that is linear in the
-    velocity, see docs/theory/bound.md, eq. (1).
+    Whatever the attitude, the required thrust is mass * (a - a_0), with the acceleration a of the
+    motion. Weight and aerodynamic force would cause the acceleration a_0 if the rotors stood still.
+    For drag that is linear in the velocity, see docs/theory/bound.md, eq. (1).
 
     Attributes
     ----------

@@ -2,12 +2,14 @@
 
 A solution satisfies its limits at the collocation points. Between them its path may cut the corner
 of a zone, or go below the floor. The problem is solved again with a limit that is stricter by the
-violation. This costs energy, which is compared with an estimate of the least energy; see
-docs/theory/tracking.md, eq. (10).
+violation. A stricter limit costs energy. The energy of the new plan is therefore compared with an
+estimate of the least energy of the mission with its own limits; see docs/theory/tracking.md,
+eq. (10).
 
 The solution with the mission's own limits is called relaxed. Arguments `figures` are the tolerances
-of an accuracy level. A limit is broken if its violation exceeds them. Arguments `numbers` map full
-names of parameters to their values in the mission.
+of an accuracy level, or the wider ones of a usable plan, `scenario.accuracy.USABLE`. A limit is
+broken if its violation exceeds them. Arguments `numbers` map full names of parameters to their
+values in the mission.
 """
 
 from __future__ import annotations
@@ -195,10 +197,10 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
 
 
 def _helps(breach: Violation, figures: Figures) -> bool:
-    """Return whether a solve with a stricter limit is worth trying for a violated limit.
+    """Return whether a stricter limit is worth trying for a violated limit.
 
-    The violation must be at most half of max(1, abs(limit)), and a parameter must set the limit.
-    Limits on thrust and rotor speed need the tolerances of a usable plan.
+    The result is True if a parameter sets the limit, and the violation is at most 0.5 max(1,
+    abs(limit)). For thrust and rotor speed, it is False unless `figures` is `USABLE`.
     """
     name = breach.name.partition("[")[0]
     # Stricter limits on rotor speed and thrust cost more energy than any accuracy level tolerates.
@@ -281,10 +283,10 @@ def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], den
 def _windows(
     plan: Plan, figures: Figures, numbers: Mapping[str, float]
 ) -> list[tuple[float, float]]:
-    """Return the periods in which the mesh is refined, because a plan's flight cuts through a zone.
+    """Return periods (start, end) [s] around the times at which a plan's flight enters zones.
 
-    Each period has a start and an end [s]. The flight is the simulated one. `numbers` maps
-    parameters that set limits to values that replace the mission's.
+    The mesh is refined in these periods. The flight is the simulated one. Here `numbers` has only
+    the stricter limits with which `plan` was solved, by parameter.
     """
     if plan.flown is None:
         return []

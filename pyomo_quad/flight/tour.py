@@ -1,9 +1,10 @@
 """Search for the cheapest order of the waypoints of a mission, from the energies of its legs.
 
-A leg is the flight from one place of the mission to another, from hover to hover. Legs between
-neighbouring places and those of the cheapest orders are solved as separate flights. They predict
-the energies of the others, docs/theory/orders.md, eq. (1). Then the whole mission is solved for the
-few cheapest orders.
+A leg is the flight from one place of the mission to another, from hover to hover. First, some legs
+are solved as separate flights, for example those between neighbouring places. A model fitted to the
+solved legs predicts the energies of the unsolved legs, docs/theory/orders.md, eq. (1). The unsolved
+legs of the cheapest orders by this prediction are solved next, and the prediction is repeated.
+Finally, the whole mission is solved for the few cheapest orders.
 """
 
 from __future__ import annotations
@@ -207,8 +208,9 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Search for the cheapest orders of the waypoints of a mission; return at most `count` orders.
 
-    The legs of these orders are solved by `solve` (see `LegTable`), the others predicted. If zones
-    leave no way to visit all places, the result is only the scenario's own order, at infinite cost.
+    The function `solve` (see `LegTable`) is called for every leg of the returned orders. The cost
+    of any other leg, or of a leg whose solve fails, may be a prediction. If zones leave no way to
+    visit all places, the result is only the scenario's own order, at infinite cost.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -261,7 +263,8 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
     """Return the legs (pairs of indices of places) that are solved first.
 
-    These are legs to the nearest places, legs of the shortest order, and a sample of all lengths.
+    These are legs to the nearest places, legs of the shortest order, and ten legs from the shortest
+    to the longest. `lengths` is the matrix of all lengths [m], infinite for forbidden legs.
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
@@ -323,7 +326,8 @@ class BestOrder:
     def fly(self, found: OrderSearch) -> str:
         """Solve the mission for one order of the waypoints on a coarse mesh, and keep the solution.
 
-        The result is a text with the cost [J], or with the status of a failed solve.
+        `found`, one of the `candidates`, has the order. The result is a text with the cost [J], or
+        with the status of a failed solve.
         """
         solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved

@@ -6,7 +6,7 @@ near the solution. The simulated states and controls satisfy the equations, at n
 energy. Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 
 Arguments `demands` are changes of the path that the vehicle follows. They move the path out of
-zones and away from limits, with rest during hovers.
+zones and away from limits, and set its velocity to zero while the mission hovers at a waypoint.
 """
 
 from __future__ import annotations
@@ -118,9 +118,10 @@ def tracked(
 
     `demands` changes the path that the vehicle follows. The controls anticipate the deviations in
     `previous`, an earlier result for `coarse`. The regulator corrects the controls once in each
-    mesh element, so that elements longer than 0.2 s are split. None if the vehicle cannot follow
-    the solution. Raises a SolveError if the integration fails, or the enclosing `Deadline` has
-    passed.
+    mesh element. Elements longer than 0.2 s are split, so that it corrects at least every 0.2 s.
+
+    The result is None if the vehicle cannot follow the solution. Raises a SolveError if the
+    integration fails, or the enclosing `Deadline` has passed.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
@@ -228,7 +229,7 @@ def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     """Return the changes of a path's states that `demands` causes, at the element boundaries.
 
     The shape is (n_elements + 1, n_states), in the order of `dynamics.state_names`. If the mission
-    keeps the heading, yaw angle and body rate r are changed, too.
+    prescribes a constant heading, the changes also make the path's yaw angle exactly constant.
     """
     aside = np.zeros_like(path.states)
     # Pushes change position and velocity. The regulator finds the tilt that the displaced path

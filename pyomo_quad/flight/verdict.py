@@ -121,10 +121,13 @@ def verified(
 ) -> Plan:
     """Verify a plan by simulation of its controls, and return it with the result.
 
-    `plan` was made from `solution`. Except at the accuracy `proof`, feedback first corrects the
-    controls (docs/theory/tracking.md), and the error estimate is checked. Models without the states
-    for the feedback (see `can_be_tracked`) are simulated at once. A planned path far beyond a limit
-    is not simulated. The status is `VERIFIED` if the solve converged and all checks succeed.
+    `plan` was made from `solution`. The status is `VERIFIED` if the solve converged and all checks
+    succeed. Below the accuracy `proof`, the error estimate of the plan is also checked.
+
+    At the accuracy `proof`, and for models without the states for feedback (see `can_be_tracked`),
+    the planned controls are simulated without a correction. Otherwise, feedback first corrects the
+    controls (docs/theory/tracking.md), unless the planned path is far beyond a limit. A plan far
+    beyond a limit is neither corrected nor simulated.
 
     The default of `accuracy` is that of the scenario. The default of `least_energy` is the plan's
     energy. If `is_rough`, the corrections end at the first usable plan, which keeps the tolerances
@@ -168,9 +171,8 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback, and simulate the corrected controls without feedback.
 
-    At most five flights under feedback follow, until one is verified (with `is_rough`, usable).
-    If none is usable, the last is returned. A failed first flight or simulation raises a
-    SolveError.
+    At most five flights under feedback are tried, until one is verified (with `is_rough`, usable).
+    The result is the last usable flight. Without one, it is the last flight, not simulated again.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
@@ -206,8 +208,8 @@ def _corrected(
 def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
     """Return the changes of the path for the next flight under feedback, after one broke limits.
 
-    `path` has samples of that flight. The result includes `demands`, the changes that it followed.
-    `allowed` is the tolerated violation, relative to the larger of 1 and the limit.
+    That flight followed the changes `demands` and has the samples `path`. New changes are added to
+    `demands`. `allowed` is the tolerated violation relative to max(1, abs(limit)).
     """
     # New changes are displacements out of zones, shifts away from limits on tilt, speed and rotor
     # speeds, and rest during all hovers if the flight moved during a hover.
@@ -298,8 +300,8 @@ def _followed(
 def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Compare the planned states with goal, limits and battery, without a simulation.
 
-    The returned `Flown` has samples of the planned path. `accuracy` also sets their distance near
-    zones.
+    The returned `Flown` has samples of the planned path. `accuracy` also sets the spacing of the
+    samples near keep-out zones.
     """
     path = path_of(plan, accuracy)
     return compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy), path
@@ -308,8 +310,8 @@ def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Ver
 def path_of(plan: Plan, accuracy: Accuracy) -> Flown:
     """Return samples of a flight that follows the planned path exactly.
 
-    The samples serve to check limits without a simulation. `accuracy` sets the distance between
-    samples near zones.
+    The samples serve to check limits without a simulation. `accuracy` sets the spacing of the
+    samples near keep-out zones. Elsewhere, each mesh element has at least eight samples.
     """
     held, spacing = plan.trajectories, FIGURES[accuracy].spacing
     shares = samples_of_path(plan.dynamics, held.mesh, held.states, plan.scenario.airspace, spacing)

@@ -139,8 +139,9 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    It is a function of time [s] and state. A parameter that jumps at the start of the element has
-    its value after the jump, at the time `inside` [s].
+    It is a function of time [s] and state. `control` gives the controls at a time. `inside` is a
+    time just after the start of the element [s]. At earlier times, all parameters have their values
+    at `inside`. A jump of a parameter at the start of the element is thus already past.
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
@@ -194,8 +195,8 @@ class Verification:
     passing_misses_m : tuple of float
         For each waypoint, the distance by which the flight passes outside its radius [m].
     battery_imbalance : float
-        Largest fraction of the power or of the charge that the battery cannot supply, whichever is
-        greater. The fraction of the charge is relative to the capacity.
+        The greater of two fractions: the largest missing power relative to the power drawn, and the
+        charge drawn beyond the capacity relative to the capacity.
     voltage_lacking : float
         Largest fraction of a motor's voltage that the battery cannot supply; negative if the
         battery always supplies more than needed.
@@ -301,8 +302,9 @@ def has_balance(dynamics: Dynamics) -> bool:
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     """Return the largest fractions of power and charge that a battery lacks at given times.
 
-    `balance` has one row per time and the columns of `BALANCE_KEYS`. The lacking charge is relative
-    to the capacity, and negative if charge remains.
+    `balance` has one row per time and the columns of `BALANCE_KEYS`. The lacking power is relative
+    to the power drawn. The lacking charge is the charge drawn beyond the capacity, relative to the
+    capacity; it is negative if charge remains.
     """
     power, voltage, current, charge = balance.T
     # The battery's equations keep voltage and current finite beyond the greatest power of the pack.

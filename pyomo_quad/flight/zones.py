@@ -74,7 +74,8 @@ def _spans_inside(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the fractions of n lines at which they enter and leave a zone with its clearance.
 
-    The lines extend beyond both ends. If a line misses the zone, its exit is less than its entry.
+    A fraction may be below 0 (before the start) or above 1 (beyond the end). If a line misses the
+    zone, its exit is less than its entry.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -118,9 +119,10 @@ def sides_passed(
     zone : KeepOut
         The zone.
     ends : ndarray, shape (2, 3)
-        Ends of the leg near the zone [m].
+        Start and goal of the leg [m].
     clearance : float
-        Distance by which the zone is enlarged [m]. It is increased if the leg stays outside.
+        Distance by which the zone is enlarged [m]. If the leg does not enter the enlarged zone,
+        this function enlarges the zone further, until the leg enters it.
     starts, stops : ndarray, shape (n, 3)
         Ends of the lines [m].
     """
@@ -242,8 +244,9 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
     """Return points round a keep-out zone, shape (n, 3) [m], as nodes of a graph of routes.
 
-    Straight lines between neighbouring points keep the clearance from the zone. `ends` are the ends
-    of the leg near the zone, shape (2, 3) [m].
+    Straight lines between neighbouring points keep the clearance from the zone. `ends` are start
+    and goal of the leg, shape (2, 3) [m]. Straight sides of the zone also get points nearest to
+    start and goal, and to the place at which the leg passes the zone.
     """
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)

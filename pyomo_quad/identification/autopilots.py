@@ -69,8 +69,9 @@ def _seconds_aloft(
 ) -> pd.DataFrame:
     """Average the samples of a log over each second in flight.
 
-    `velocity` is over ground: north, east, up [m/s]. The wind blows toward north and east [m/s].
-    The result lacks the flight's name.
+    `velocity` has the components of the velocity over ground, toward north, east and up [m/s].
+    `wind` has the components of the wind velocity, toward north and east [m/s]. The result lacks
+    the flight's name.
     """
     air = (speed - blowing for speed, blowing in zip(velocity, wind, strict=False))
     frame = pd.DataFrame(
@@ -181,7 +182,8 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
     """Return the rows of an ArduPilot message table from the sensor or filter of lowest number.
 
-    If a field of `needed` is missing, a ScenarioError is raised.
+    `name` is the type of the message, such as "BARO", for the error text. If a field of `needed` is
+    missing, a ScenarioError is raised.
     """
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(

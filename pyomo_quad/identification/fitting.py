@@ -141,7 +141,8 @@ class Identification:
     fitted_power, cross_validated : ndarray, shape (n_rows,)
         Power computed by the fit to all flights, and by a fit without the row's flight [W].
     trials : tuple of Trial
-        Errors of extrapolations.
+        Extrapolation tests: errors for the lightest payload or the fastest speed, of a fit to
+        flights with the heaviest payload or slower speeds.
     together : tuple of (str, str)
         Pairs for the fields that the flights do not determine: the field, and the other field that
         has the most similar effect on the power. The latter is "" if no effect is similar.
@@ -391,10 +392,10 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the smallest size m of each fitted parameter p in the test of `undetermined`.
+    """Return the least magnitude m that the function `undetermined` assumes for each parameter p.
 
-    The test changes p by 10 % of max(abs(p), m), so that a parameter near zero is changed, too. The
-    size m is in the unit of p.
+    It changes p by 10 % of max(abs(p), m), so that a parameter near zero is changed, too. m is in
+    the unit of p.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 

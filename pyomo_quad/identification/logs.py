@@ -120,8 +120,9 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     """Join the flights of several logs, given as file and rows, in one table.
 
-    If two flights have the same name, or if the names differ in type, the name of its log is put
-    before the name of each flight. If two names are still equal, a ScenarioError is raised.
+    If two flights have the same name, or if the names differ in type, all flights are renamed: the
+    name of the log's file is put before the flight's name. If two names are still equal, a
+    ScenarioError is raised.
     """
     held = [frame for _, frame in logs]
     if not _names(held).is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:

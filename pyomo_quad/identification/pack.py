@@ -339,8 +339,8 @@ class Circuit:
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
         """Return the logarithms of the fields fitted to the measured voltages, shape (n,).
 
-        The iteration starts from `start`. The fitted resistances are those of the median pack: the
-        median of the results of `factors` is 1.
+        The iteration starts from `start`, which has the form of `values`. The fitted resistances
+        are those of the median pack: the results of the method `factors` have the median 1.
         """
         low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
         place = list(FITTED).index("relaxation.time_constant")
@@ -366,7 +366,9 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
     """Fit a battery's equivalent circuit to the voltages of flights, and assess the fit.
 
     `frame` comes from `read_voltages`. The voltage of the full cell, the polarisation voltage K and
-    the capacity are not fitted. If fewer than five flights are long enough, it returns None.
+    the capacity are not fitted. The result is None if fewer than five flights are long enough. A
+    flight is long enough if it has at least 13 s plus 20 time steps, from at most 3 s before the
+    load to the end of the load.
     """
     if frame.empty:
         return None
@@ -436,7 +438,7 @@ def with_circuit(scenario: Scenario) -> Scenario:
     """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
 
     If the battery has no table `relaxation`, 40 % of the cell resistance becomes the relaxation
-    resistance. The state of health becomes that of a new pack.
+    resistance. The state of health is always replaced by that of a new pack.
     """
     pack = scenario.battery
     tables: dict[str, Any] = {}

@@ -178,8 +178,8 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
     """Return the text of a vehicle file: a base vehicle with some fields changed.
 
     `changed` has value and source by field name. `base` is a vehicle of the library or the path of
-    a vehicle file. A battery file `battery` in the folder of the new file replaces the battery of
-    `base`.
+    a vehicle file. `battery` is the name of a battery file in the folder in which the text will be
+    saved. It replaces the battery of `base`. If it is empty, the battery of `base` is kept.
     """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}

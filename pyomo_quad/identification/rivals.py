@@ -6,10 +6,13 @@ constant efficiency | proportional to the ideal power of hover, P = c (m g)^1.5 
 regression by phase | P = a + b (m g)^1.5 / sqrt(rho), with own a and b in each phase of the flight
 
 P is the power, m the mass with payload, g gravity, and rho the air density; a, b and c are fitted.
-All models are fitted and validated in the same way, on the same flights. Arguments `frame` are the
-table of these flights: one row per time, with the columns `identification.columns.COLUMNS`. The
-regression by phase has the form of Rodrigues et al., "Drone flight data reveal energy and
-greenhouse gas emissions savings for very small package delivery", Patterns 3 (2022).
+All models are fitted and validated in the same way, on the same flights. An extrapolation test fits
+a model to flights with some payloads or speeds, and computes the energies of flights with others.
+
+Arguments `frame` are the table of these flights: one row per time, with the columns
+`identification.columns.COLUMNS`. The regression by phase has the form of Rodrigues et al., "Drone
+flight data reveal energy and greenhouse gas emissions savings for very small package delivery",
+Patterns 3 (2022).
 """
 
 from collections.abc import Sequence
@@ -36,9 +39,9 @@ _OURS = "momentum theory, declared"
 def model_table(found: Identification) -> pd.DataFrame:
     """Tabulate the errors of the published power models and of the identified model.
 
-    The columns are `model`, `numbers_fitted`, the errors of `Scores` in cross-validation, and
-    `extrapolation_1_error_percent` (of energies) and so on for each extrapolation. The last row is
-    the identified model.
+    The columns are `model`, `numbers_fitted`, the errors of `Scores` in cross-validation, and one
+    column for each extrapolation test, from `extrapolation_1_error_percent` on. Its values are mean
+    absolute relative errors of the flights' energies. The last row is the identified model.
     """
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
@@ -112,9 +115,10 @@ class Measure:
 def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...]:
     """Compare the identified model with the best published model, for each kind of error.
 
-    `models` comes from `model_table`. `tried` has the identified model's extrapolation tests, in
-    the order of their columns in `models`. The errors are those of a flight's energy, of the power
-    in a row of the log, and of the energy in each extrapolation.
+    `models` comes from `model_table` and has the errors of all models. `tried` describes the
+    extrapolation tests: the first is that of the column `extrapolation_1_error_percent`, and so on.
+    The kinds are the errors of a flight's energy, of the power in a row of the log, and of the
+    energy in each extrapolation test.
     """
     *rivals, own = models.to_dict("records")
     columns = {

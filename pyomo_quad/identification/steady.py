@@ -110,9 +110,10 @@ def _mean_error(power: FloatArray, points: pd.DataFrame) -> float:
 def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     """Read points of steady flight from a CSV file, and complete missing columns.
 
-    The columns are some of `STEADY_COLUMNS`, with power or endurance. Missing payloads and air
-    densities are those of the scenario; missing airspeeds and climbs are 0. If the file is
-    unreadable, a value impossible, or the power seems to be in kW or mW, a ScenarioError is raised.
+    The columns are some of `STEADY_COLUMNS`. Missing payloads and air densities are those of the
+    scenario; missing airspeeds and climbs are 0. A missing power follows from the endurance. If
+    both are missing, the file is unreadable, a value is impossible, or the power seems to be in kW
+    or mW, a ScenarioError is raised.
     """
     points = filled_in(_read_csv(file), scenario)
     for name in points:
@@ -183,9 +184,10 @@ def _read_csv(file: Path) -> pd.DataFrame:
 def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Convert points of steady flight to the format of logged flights.
 
-    Each point, also a hover, becomes a flight of two equal rows toward north, in calm air. Its
-    phase is cruise. The logged airspeed is the airspeed of the point divided by the vehicle's
-    `anemometer_factor` in the scenario. The fit to logged flights can then use the points.
+    Each point, also a hover, becomes a flight of two rows that differ only in time. The flight goes
+    toward north in calm air, and its phase is cruise. The logged airspeed is the airspeed of the
+    point divided by the vehicle's `anemometer_factor` in the scenario. The fit to logged flights
+    can use the result.
     """
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor

@@ -154,8 +154,8 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
     """Return Pyomo rule and documentation text of the wind force of eq. (9), for each world axis.
 
-    The force is mass times c w [N], with wind velocity w and a coefficient c [1/s]. `updraft` is
-    the vertical part of w, None if horizontal.
+    The force is mass times c w [N], with wind velocity w and coefficient c [1/s]. `updraft` is w's
+    vertical part, or None if w is horizontal.
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:

@@ -3,7 +3,7 @@
 A keep-out zone is a region that flights must avoid. A zone is the intersection of one or more
 balls. A ball (the class `scenario.airspace.Ball`) contains the places within a radius of its
 centre. If the distance from the centre is measured in one coordinate, the ball is an interval; in
-two, it is a disk; in three, a sphere.
+two, it is a disk; in three, a sphere. These coordinates are the axes of the ball.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -24,8 +24,8 @@ differ by less than about w, some places outside the zone are forbidden, too. Th
 the zone is at most 0.14 w = 70 mm, and at the corners of a box at most 0.28 w = 140 mm. Near a
 corner of a prism, more than two of the d_k may be nearly equal. If j of them are, the distance is
 at most (j - 1) 0.14 w. Away from the edges, exactly the zone is forbidden. The clearance moves each
-face outwards by the distance c. It does not round the edges between the faces; only the smooth
-bound does.
+face outwards by the distance c, and leaves the edges between the faces sharp. Only the smooth bound
+rounds them.
 
 The fence (`keep_in`) is a convex polygon in x and y, which flights must not leave. Each of its
 edges gives a linear limit of the position, which is exact, also at the corners. The clearance does
@@ -136,8 +136,8 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and its centre on these axes [m].
 
-    For an interval across a polygon's edge, with unit normal n, these are x and y. The centre is s
-    n: the interval's middle has distance s along n.
+    For an interval across a polygon's edge, the axes are x and y. The centre is s n, with the
+    edge's unit normal n and the interval's middle s.
     """
     if ball.normal is None:
         return ball.axes, ball.centre
@@ -258,8 +258,8 @@ def _inside(
 ) -> RelationalExpression:
     """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t [s].
 
-    `edges` has axis, side (-1 lower, 1 upper) and coordinate [m] of each edge, by name. `parameter`
-    names the Pyomo parameter with the coordinates.
+    `edges` gives axis and side (-1 lower, 1 upper) of each edge by name. The coordinate [m] is that
+    of the Pyomo parameter `parameter`, indexed by `edge`.
     """
     axis, side, _ = edges[edge]
     out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(parameter)[edge]

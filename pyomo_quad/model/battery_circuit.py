@@ -72,8 +72,9 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def states_at_start(scenario: Scenario) -> dict[str, float]:
     """Return the initial values of the battery's states other than its charge, by full name.
 
-    If the model has them, the states are relaxation voltage [V], temperature [K] and energy lost
-    [J]. An example of a full name is "battery.temperature".
+    If the model has them, the states are relaxation voltage [V], temperature [K] and the energy
+    lost inside the battery [J]. The model has the last state if `mission.aim` is "charge". An
+    example of a full name is "battery.temperature".
     """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
@@ -226,8 +227,9 @@ def heat(b: Block, t: float) -> NumericExpression:
 def heat_balance(b: Block, t: float) -> RelationalExpression:
     """Lumped temperature: heat of the losses less the heat lost to the air [W].
 
-    The result is the differential equation of the temperature, docs/theory/battery.md, eq. (10).
-    `b` is the block `battery`, and `t` the time in flight [s].
+    The heat capacity of the pack times dT/dt equals this difference. The result is this
+    differential equation, docs/theory/battery.md, eq. (10). `b` is the block `battery`, and `t` the
+    time in flight [s].
     """
     cells = b.cells_series * b.cells_parallel
     warming = cells * b.heat_capacity * b.dtemperature_dt[t]

@@ -7,7 +7,7 @@ z - U | height_limited_below | m | height above the surface U, limited by a floo
 z - L | height_limited_above | m | height above the surface L, limited by a ceiling
 
 z is the height coordinate of the vehicle. A floor is the least permitted height above the ground, a
-ceiling the greatest. Over flat ground, both heights equal z, and no block is declared.
+ceiling the greatest. Over flat ground, both heights equal z, and the model has no block `ground`.
 
 The ground of `airspace.terrain` is bilinear between the points of its grid. U and L are splines
 through values on the same grid, which the module `scenario.surfaces` computes. The splines
@@ -63,8 +63,9 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
     """Return the height of the vehicle that a floor (`side` 1) or a ceiling (-1) limits [m].
 
-    Over flat ground, it is z. Over terrain, it is the height above a smooth surface: for a floor,
-    nowhere below the ground; for a ceiling, which the airspace must then have, nowhere above.
+    Over flat ground, it is z. Over terrain, it is the height above a smooth surface. For a floor,
+    the surface is nowhere below the ground. For a ceiling, it is nowhere above the ground. Over
+    terrain, `side` -1 is allowed only if the airspace has a ceiling.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

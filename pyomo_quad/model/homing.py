@@ -13,9 +13,9 @@ A home is a place at which the vehicle may land: the start of the mission, or a 
 
 The return is computed with one airspeed V and with the constant current i of steady, level flight.
 At the ground speed g = w + sqrt(V^2 - abs(wind)^2 + w^2), the charge is (1 + margin) i d / g. The
-margin covers the errors of two assumptions. The wind on the whole return equals the wind at the
-vehicle. Without terrain, the vehicle flies straight home, and a slope takes as much charge per
-metre as level flight.
+margin covers the errors of two assumptions: the wind on the whole return equals the wind at the
+vehicle, and a sloping path takes as much charge per metre as level flight. Without terrain, the
+vehicle flies straight home.
 
 Over terrain, the vehicle climbs vertically to the height H_k, flies level to the place above the
 home, and descends. H_k is the highest ground on the straight line to the home, plus the floor of
@@ -157,7 +157,7 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare height, climb and length of the return over terrain, for each home and time [m].
+    """Declare height, climb and length [m] of the return over terrain, for each home and time.
 
     They are eqs. (7) to (9) of docs/theory/homing.md. Nothing is declared without terrain.
     """

@@ -74,8 +74,9 @@ def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None
 def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare limits of vehicle and battery as path constraints in block `limits`.
 
-    The limits are those on attitude, rotors, thrust, moments, speed, validated range and battery.
-    An optional limit is declared only if the scenario sets it.
+    The limits are those on attitude, rotors, thrust, moments, speed and battery. If the scenario
+    sets `limits.within_validated`, airspeed, climb and descent are also limited to the range that
+    measured flights validate. An optional limit is declared only if the scenario sets it.
     """
     b = m.limits = Block(doc="limits, Yacef et al., eq. (10)")
     declare_parameters(b, scenario)

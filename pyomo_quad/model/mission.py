@@ -117,9 +117,10 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `mission`.
 
-    They give place and heading at start and goal, and conditions at waypoints. A hover at a
-    waypoint adds its limits, and a constant heading a limit on the yaw rate. A free duration adds
-    bounds and the price `price_of_time` [W].
+    They give place and heading at start and goal, and conditions at waypoints. If the mission
+    hovers at a waypoint, they also limit distance from the waypoint and speed during hovers. A
+    constant heading adds a limit on the yaw rate. A free duration adds its bounds and the price
+    `price_of_time` [W].
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()

@@ -98,8 +98,8 @@ def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter,
 def declare_parameters(b: Block, scenario: Scenario) -> None:
     """Add to the model block `b` its mutable Pyomo parameters, with their values in the scenario.
 
-    A function with the decorator `parameters_in` (argument: the block's name) returns the
-    declarations of these parameters, see `Parameter`.
+    The decorator `parameters_in` registers a function for the name of each block. The function for
+    the name of `b` returns the declarations of the parameters, see `Parameter`.
     """
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 
@@ -124,7 +124,8 @@ def parameter_items(
 ) -> Iterator[tuple[str, float]]:
     """Yield full name and value of every parameter in a table of declarations, for a scenario.
 
-    An example is ``("wind.x.amplitudes[1]", 0.1)``, with the value in the declared unit. A
+    `table` has the declarations of the block `block_name`. An example is
+    ``("wind.x.amplitudes[1]", 0.1)`` for the block "wind.x", with the value in the declared unit. A
     parameter without a value in the scenario is left out.
     """
     for row in table:

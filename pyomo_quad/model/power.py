@@ -52,8 +52,9 @@ disc area A_j of this rotor. In hover, the thrusts are equal, and the sum of the
 c_0 T^(3/2) / sqrt(rho A). The advance ratio is mu = v_p / (omega R), with the radius R of a rotor.
 K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
-Accelerating a rotor of inertia I_r takes the power I_r omega alpha, which becomes kinetic energy of
-the rotor, plus the copper loss due to the torque I_r alpha.
+In the model `momentum`, accelerating a rotor of inertia I_r takes the power I_r omega alpha, which
+becomes kinetic energy of the rotor, plus the copper loss R (I_r alpha / k_t)^2 in the motor. R is
+the resistance and k_t the torque constant of the motor.
 """
 
 from collections.abc import Callable
@@ -123,8 +124,9 @@ _SMOOTHING = "smoothing"
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the scenario's power model declares in block `power`.
 
-    The models `motor`, `motor_with_friction` and `shaft` have no parameters but those of block
-    `vehicle`. Without `power.regeneration`, every model has the parameter `smoothing` [W].
+    If `power.regeneration` is false, every model has the parameter `smoothing` [W] in this block.
+    The models `motor`, `motor_with_friction` and `shaft` have no other parameter in this block, and
+    use parameters of block `vehicle`.
     """
     guard = () if scenario.power.regeneration else fields_of("power", _SMOOTHING)
     return (*_NUMBERS.get(scenario.power.model, ()), *guard)
@@ -205,8 +207,8 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor.
 
     Both follow eqs. (2) and (3) of Yacef et al. With regeneration, a braking rotor returns its
-    shaft power less the copper loss. The profile drag is included only if `drag_torque_coefficient`
-    includes it.
+    shaft power less the copper loss. The drag torque of a rotor is `drag_torque_coefficient` times
+    omega^2. There is no separate term for the profile drag of the blades.
     """
     b = m.power
 
@@ -227,7 +229,7 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
     Motor and converter have no loss. With regeneration, a braking rotor returns its full shaft
-    power. A minimum of the energy requires a bound on the rotor acceleration.
+    power.
     """
 
     # Convex in thrust (exponent 3/2). For a driven rotor, it is a lower bound of the power by a

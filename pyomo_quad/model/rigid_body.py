@@ -16,7 +16,8 @@ phi', theta', psi' | p, q, r | rad/s | body rates (the paper equates them to the
 
 The balances have the form of eq. (6): mass times acceleration equals the forces, and moment of
 inertia times angular acceleration equals the moments. The gyroscopic terms of the rotors follow eq.
-(6); eq. (9) prints them with another sign and another order of derivative.
+(6). The terms that eq. (9) prints contradict eq. (6) in the sign and in the order of the time
+derivatives of roll and pitch.
 """
 
 from collections.abc import Callable

@@ -262,9 +262,9 @@ def _is_single_term(node: NumericValue) -> bool:
 
 
 def _is_unit(node: NumericValue) -> bool:
-    """Return whether a factor is a Pyomo unit, or a product of units with the value 1.
+    """Return whether a factor is a Pyomo unit, or an expression of units and numbers of value 1.
 
-    Typeset equations leave this factor out.
+    Each unit counts as 1, so that m/s has the value 1. Typeset equations leave these factors out.
     """
     if isinstance(node, _PyomoUnit):
         return True

@@ -52,7 +52,8 @@ _PARAMETERS = (
 def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of block `vehicle`, including the payloads released at waypoints.
 
-    The declarations are the same for every scenario; the argument `_scenario` is not used.
+    Each parameter holds a function that computes its value from a scenario. The argument
+    `_scenario` is therefore not used.
     """
     return _PARAMETERS
 

@@ -6,8 +6,8 @@ A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics
 v_gmax, T_g | gust_amplitude, gust_period | m/s, s | gust
 t | wind_time | s | wind time: time in flight plus the scenario's offset
 
-The gust of eq. (12) peaks at v_gmax a quarter of a period after its start. With a profile, the
-horizontal wind is the wind at the reference height h_r times a factor:
+The gust of eq. (12) peaks at v_gmax a quarter of a period after its start. With a vertical profile
+(table `wind.profile`), the horizontal wind is the wind at the reference height h_r times a factor:
 
 law | factor at height h | source
 power | (h / h_r)^exponent | Justus and Mikhail (1976)
@@ -15,9 +15,9 @@ logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), sect
 
 h is the vehicle's height above the ground: z over flat ground, and over terrain the height over a
 smooth surface that is nowhere below the ground (see `model.ground`). Both laws are valid only above
-a lowest height, max(0.1 m, z_0). Below this height, the wind is constant, because a smooth maximum
-of h and the lowest height replaces h. The smooth maximum increases with h. It equals h to 1e-12 m
-at half a metre above the lowest height.
+a lowest height, max(0.1 m, z_0). A smooth maximum of h and the lowest height therefore replaces h.
+Half a metre or more above the lowest height, the smooth maximum equals h to 1e-12 m. Half a metre
+or more below, it equals the lowest height to 1e-12 m, and the wind is constant.
 
 A wind measured over heights is a cubic spline in the height above the ground, constant below the
 lowest and above the highest measurement, with a smooth transition. In a wind field, by contrast,
@@ -333,7 +333,7 @@ def _add_velocity(
 
 
 def _velocity(name: str, b: Block, t: float) -> NumericExpression:
-    """Return the wind along the world axis `name` at the model time `t` [m/s], as a Pyomo rule.
+    """Return the wind along the world axis `name` at time `t` in flight [m/s], as a Pyomo rule.
 
     The wind is the sum of mean, harmonics and gust, eq. (11) of Yacef et al. `b` is the block
     `wind` of the model.
@@ -483,6 +483,9 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """Spline through the measurements at times that the longest flight may reach."""
+        """Spline through the measurements during the longest permitted flight.
+
+        It includes up to 30 measurements before and after this time, and leaves the others out.
+        """
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

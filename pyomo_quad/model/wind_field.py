@@ -63,8 +63,8 @@ def smooth_positive(number: Any, width: Any) -> Any:
     """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
 
     If abs(number) exceeds a few widths, the result equals max(number, 0) up to rounding.
-    `parameters.positive_part` approaches max(number, 0) much more slowly.
     """
+    # `parameters.positive_part` approaches max(number, 0) much more slowly.
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
 
@@ -119,10 +119,10 @@ def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
 
 
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
-    """Return axes and values of a wind field without gaps, with four or more points on each axis.
+    """Return axes and values of a wind field after filling gaps and resampling short axes.
 
-    The axes are x, y, z [m] and time [s], as far as the field has them. The first array axis of the
-    values [m/s] is the component. They lack the factor `wind.field_scale`.
+    Points without wind get the nearest wind. Each axis gets four or more points. The first array
+    axis of the values [m/s] is the component. `wind.field_scale` is left out.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
 
@@ -266,10 +266,10 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
-    """Return which control points of a wind field belong to a cell with known wind at a corner.
+    """Return which control points belong to a cell with known wind at one corner or more.
 
-    `shape` is the shape of the array of all control points, with the wind component first. The
-    result has no axis for the component.
+    `shape` is the shape of the array of control points: components, then four points per cell along
+    each grid axis. The result has shape `shape[1:]`.
     """
     near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
     for number, count in enumerate(shape[1:]):

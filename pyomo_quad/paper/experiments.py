@@ -97,8 +97,9 @@ class BaselineFlight:
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
     """List the settings of the report's flights under the adaptive controller.
 
-    The power models are `motor` and `efficiency`. If `is_quick` is true, flights along the
-    reference that jumps to the goal at the start are left out.
+    The power models are `motor` and `efficiency`. The reference trajectories are a polynomial of
+    time (`Reference.QUINTIC`) and the constant goal (`Reference.STEP`). If `is_quick` is true,
+    flights with the constant goal as reference are left out.
     """
     references = (Reference.QUINTIC,) if is_quick else (Reference.QUINTIC, Reference.STEP)
     cases = product(Experiment, (PowerModel.MOTOR, PowerModel.EFFICIENCY), references)
@@ -191,8 +192,8 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. Without convergence, as may happen with f_r, the optimality of the
-        flight is unproven, but the flight may be verified.
+        Status of the solve. If the solve did not converge, as is possible with f_r, the flight is
+        not proven optimal. `flight.is_verified` tells whether a simulation confirms the flight.
     hover_energy_J : float
         Energy of a hover of equal duration, under the same power model [J].
     end_prices : mapping

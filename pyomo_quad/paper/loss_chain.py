@@ -109,9 +109,9 @@ def draw_loss_chain(
 ) -> Figure:
     """Draw the chain of losses of a flight, and below it the flight on the map of f_r.
 
-    `bound` is the weakest deceleration of a rotor at which f_r reaches zero, the least over all
-    rotor speeds [rad/s²]. A line on the map shows the motor torque at this deceleration, over the
-    rotor speed.
+    f_r falls to zero if a motor brakes its rotor hard enough. `bound` [rad/s²] is the smallest
+    deceleration at which f_r is zero at any rotor speed. A line on the map shows the motor torque
+    at this deceleration, over the rotor speed.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
     _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)

@@ -1,9 +1,9 @@
 """Two interpretations of the efficiency f_r of Yacef et al., and solves with each of them.
 
 f_r, the efficiency of motor and rotor, is a polynomial of torque and speed. It was recovered from
-public re-implementations, and is zero at some braking torques. If the rotors may reach these
-torques and f_r has no lower limit, the optimal control problem has no minimum. The solves use fixed
-meshes.
+public re-implementations, and is zero at some braking torques. One interpretation has lower limits
+on torque and f_r, the other has none (see `Reading`). If the rotors may reach these torques and f_r
+has no lower limit, the optimal control problem has no minimum. The solves use fixed meshes.
 """
 
 from dataclasses import dataclass

@@ -201,8 +201,9 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return the report's row that compares optimal and controlled flight of an experiment.
 
-    Energies are integrals of the motors' electrical power. Only the item `by_efficiency_percent` is
-    the saving with the power model of Yacef et al., the efficiency f_r.
+    Energies are integrals of the motors' electrical power. Only the saving `by_efficiency_percent`
+    uses the power model of Yacef et al.: shaft power divided by f_r, the efficiency of motor and
+    rotor.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

@@ -106,9 +106,9 @@ def chattering_floors(
 ) -> FloatArray:
     """Compute lower bounds on the energy of any flight in calm air under the efficiency f_r.
 
-    `reading` is the interpretation of f_r where it is small or negative. The result has a row for
-    each of `bounds`, upper bounds on the absolute rotor acceleration: this bound [rad/s²], and the
-    result of `floor_energy` [J].
+    `reading` is the interpretation of f_r where it is small or negative. `bounds` are limits on the
+    absolute rotor acceleration [rad/s²]. The result has one row for each limit. A row holds the
+    limit [rad/s²] and the lower bound on the energy [J], computed by `floor_energy`.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)

@@ -237,9 +237,9 @@ def find_polar(scenario: Scenario) -> Polar:
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
     """Compute power and endurance of level flight at airspeeds from 0 in steps of 0.5 m/s.
 
-    They end at the last one within the limits, or at 39.5 m/s. `depth` is the usable fraction of
-    the battery's capacity. Raises SolveError if the vehicle cannot hover, or fly at 0.5 m/s within
-    its limits.
+    The last airspeed is the greatest one at which the vehicle keeps its limits, at most 39.5 m/s.
+    `depth` is the usable fraction of the battery's capacity. Raises SolveError if the vehicle
+    cannot hover, or fly at 0.5 m/s within its limits.
     """
     speeds: list[float] = []
     powers: list[float] = []

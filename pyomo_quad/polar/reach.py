@@ -159,8 +159,9 @@ def _shares(
 ) -> FloatArray:
     """Return the fraction of the usable battery charge per metre over ground [1/m].
 
-    `winds` has shape (n_courses, n_steps, 2) [m/s], and `courses` shape (n_courses, 1) [rad]. If
-    `has_return`, the fraction includes the flight back over the same metre.
+    `winds` are horizontal winds [m/s] at places along each course, shape (n_courses, n_places, 2).
+    `courses` [rad] has shape (n_courses, 1). If `has_return`, the fraction includes the flight back
+    over the same metre.
     """
     speed = np.hypot(winds[..., 0], winds[..., 1])
     angle = np.arctan2(winds[..., 1], winds[..., 0]) - courses

@@ -1,7 +1,7 @@
-"""Report of a campaign: the same missions flown in turn until no further flight is possible.
+"""Report of a campaign: the same missions flown in turn, again and again, on each battery charge.
 
-A campaign counts the flights that each battery charge permits. The report has a table of the
-flights and a figure of charge and voltage.
+A campaign has one or more battery charges. The flights on a charge end when no further flight is
+possible. The report has a table of the flights and a figure of charge and voltage.
 """
 
 from functools import partial
@@ -97,8 +97,8 @@ def campaign_words(campaign: Campaign) -> list[str]:
 def draw_campaign(campaign: Campaign) -> Figure:
     """Draw state of charge and lowest pack voltage of each flight of a campaign, in two panels.
 
-    Dashed lines mark the lowest state of charge and, if it is limited, the lowest voltage that the
-    first mission permits.
+    Dashed lines mark limits of the first mission: the least permitted state of charge and, if the
+    mission limits the voltage, the least permitted pack voltage.
     """
     figure, panels = panel_grid(2, 1, panel_height=1.7, left=0.6, legend_entries=campaign.charges)
     charge_panel, voltage_panel = panels[:, 0]

@@ -37,8 +37,8 @@ class Drawing:
     draw : callable
         Function without arguments that returns the matplotlib Figure.
     needs : tuple of str
-        Columns of the flight's table that the figure requires. The caller must leave out figures
-        without their columns, because `write_study`, which draws them, does not check.
+        Columns of the flight's table that the figure requires. `write_study` draws all figures that
+        it gets. Its caller must leave out a figure if the table lacks one of these columns.
     formats : tuple of str
         File endings of the figure.
     """

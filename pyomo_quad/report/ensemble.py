@@ -69,8 +69,9 @@ def ensemble_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of an ensemble of flights: paths, energies, and quantities over time.
 
-    `savings` hold the rival flights whose energies are also shown. `margin` is that of
-    `draw_many_paths` [m].
+    Each item of `savings` compares the ensemble with other flights in the same winds, such as those
+    of an autopilot. The energies of these flights are also drawn. `margin` [m] is the safety margin
+    of the reference path from zones. Lines on both sides of the path mark it.
     """
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."

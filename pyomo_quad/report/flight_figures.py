@@ -1,7 +1,7 @@
 """Figures of flights: states, controls, energy, battery, wind, mesh and others.
 
-Each function `draw_...` makes a figure or draws into a panel. In each sequence of flights, the
-first flight is the plan.
+Each function `draw_...` makes a figure or draws into a panel. If an argument is a sequence of
+flights, the first flight is the plan.
 """
 
 from collections.abc import Sequence

@@ -28,9 +28,9 @@ _unfinished: set[Path] = set()
 def output_folder(path: str | Path) -> Iterator[Path]:
     """Context manager: write an output folder that appears complete or not at all.
 
-    The block receives a temporary folder, which replaces the final folder at its end. Raises
-    OutputError for an OSError, for files that this package did not write, and if another run is
-    writing the folder.
+    The `with` block receives a temporary folder. At the end of the block, this folder replaces the
+    final folder at `path`. Raises OutputError for an OSError, for files that this package did not
+    write, and if another run is writing the folder.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -61,9 +61,10 @@ _MARKED_WITHIN_BYTES = 65_536
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     """Context manager: write an output file that appears complete or not at all.
 
-    The block writes a temporary file with the text `mark` in the first or last 64 KiB. An existing
-    file is replaced only if it has `mark` there, or is empty. Otherwise, or for an OSError,
-    OutputError is raised.
+    The `with` block receives the path of a temporary file. The caller must write this file, with
+    the text `mark` in the first or last 64 KiB. At the end of the block, it replaces the file at
+    `path`. An existing file is replaced only if it is empty, or has `mark` in the same parts.
+    Otherwise, or for an OSError, OutputError is raised.
     """
     final = final_folder(path)
     try:

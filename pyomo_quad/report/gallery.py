@@ -1,7 +1,7 @@
 """Lists of the figures in each kind of report, in order and with captions.
 
-A `Drawing` holds a figure's caption and drawing function. In each sequence of flights, the first
-flight is the plan.
+A `Drawing` holds a figure's caption and drawing function. If an argument is a sequence of flights,
+the first flight is the plan.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -162,8 +162,8 @@ def comparison_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The result is empty if the plan has no positions. The caller must leave out a figure if a column
-    of `Drawing.needs` is missing.
+    The result is empty if the plan has no positions. The caller must leave out a figure if the
+    plan's table lacks a column of `Drawing.needs`.
 
     Parameters
     ----------
@@ -294,9 +294,9 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
 def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[str, str], str]:
     """Return the interactive player of a run's flights for the HTML report.
 
-    The first result holds the HTML of the player, by the name of the figure of paths, above which
-    it is shown. The second result is the flights as JSON. Both are empty if `drawn`, the report's
-    figures, lacks the figure of paths.
+    The first result maps the name of the figure of paths to the HTML of the player. The report
+    shows the player above this figure. The second result is the flights as JSON. Both are empty if
+    `drawn`, the report's figures, lacks the figure of paths.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""

@@ -27,9 +27,9 @@ def render_html(
 ) -> str:
     """Convert a report from Markdown into an HTML page without external resources.
 
-    If `is_good`, the box with the main result is green. `pictures` (SVG or PNG data) and `views`
-    (HTML above figures) are given by figure name. `data` is the JSON of the flights for the
-    interactive player, or empty.
+    If `is_good`, the box with the main result is green. `pictures` maps names of figures to SVG or
+    PNG data. `views` maps names of figures to the HTML that the page shows above the figure: the
+    interactive player of the flights. `data` is the JSON of the flights for the player, or empty.
     """
     parser = MarkdownIt("commonmark", {"html": False}, renderer_cls=_PageRenderer).enable("table")
     tokens = parser.parse(markdown)

@@ -1,7 +1,8 @@
 """Figures of flight paths in space and on a map, and the data of the interactive player.
 
 The figures correspond to figures 4 and 6 of Yacef et al., "Energy-Efficiency Path Planning for
-Quadrotor UAV Under Wind Conditions". In each sequence of flights, the first flight is the plan.
+Quadrotor UAV Under Wind Conditions". If an argument is a sequence of flights, the first flight is
+the plan.
 """
 
 import json
@@ -92,7 +93,8 @@ def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) -> Figure:
     """Draw flight paths in space, and seen from above, from the front and from the side.
 
-    The first flight is the plan. The waypoints of `mission` must have times of passing (see
+    The first flight is the plan. Zones, terrain, height limits and waypoints of `mission` are also
+    drawn. The view from above shows the passing time of each waypoint that has one (see
     `Scenario.lasting`).
     """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
@@ -247,10 +249,11 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose paths leave the figure because they are too far from the plan.
+    """Return the flights whose paths are too far from the plan to be drawn completely.
 
-    The first flight is the plan. Let d be the diagonal of the box around its path. A path leaves if
-    its greatest distance from the plan at equal times exceeds max(d, 0.2 m).
+    The figure is not enlarged for these paths, and its edge may cut them off. The first flight is
+    the plan. Let d be the diagonal of the box around its path. A path is too far if its greatest
+    distance from the plan at equal times exceeds max(d, 0.2 m).
     """
     return _further(flights, ASTRAY)
 

@@ -86,8 +86,9 @@ def chosen_drawing(
 ) -> Drawing:
     """Return the figure that a user names: an offered figure, or a column over time.
 
-    `name` is the argument or option that gave `what`, for messages. Raises ScenarioError if neither
-    a figure nor a column of the flight's table has the name `what`.
+    `what` is the name of a drawing in `offered`, or else of a column of the flight's table. `name`
+    is the name of the argument or option with the value `what`, for the error message. Raises
+    ScenarioError if `what` is neither a drawing nor a column.
     """
     drawings = {drawing.name: drawing for drawing in offered}
     if what in drawings:

@@ -107,8 +107,8 @@ def write_solve_report(
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
     """Write the report of a run: tables, figures, `report.md` and `report.html`.
 
-    `folder` must exist and be empty. The caller writes `summary.json` (see `run_summary`). Without
-    figures, the page has no player of flights.
+    `folder` must exist and be empty. The caller writes `summary.json` (see `run_summary`). If
+    `figures` is `NONE`, `report.html` has no interactive player of the flights.
     """
     replanned = replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
     optional = {
@@ -265,7 +265,7 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """Climb whose potential energy exceeds the flight's energy above hovering: it is impossible.
+    """Impossible climb: its potential energy exceeds the flight's energy less that of hovering.
 
     A plan can contain such a climb if its power model ignores the airspeed, and with it the power
     of climbing.
@@ -287,10 +287,10 @@ class FreeClimb:
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb if its potential energy exceeds the plan's energy above hovering.
+    """Return the mission's climb if it is impossible with the energy of a plan (see `FreeClimb`).
 
     Otherwise the result is None. It is also None if the controls were not simulated or waypoints
-    release mass. The same holds for power models that may include climbing.
+    release mass. Power models that may include climbing power give None, too.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)

@@ -292,9 +292,9 @@ _LARGEST_FILE = 256 * 1024 * 1024
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
     """Read summary and trajectory table of a report folder, and check the table.
 
-    The table has the time and columns of `ALL_COLUMNS` only. The times increase and all values are
-    finite. The summary is not validated. Raises ScenarioError if a file is missing, too large or
-    not valid.
+    `table` is the file name of the table. The result keeps only the time and the columns of
+    `ALL_COLUMNS`. Raises ScenarioError if a file is missing, too large or not valid. The table is
+    valid if the times increase and all values are finite numbers. The summary need only be JSON.
     """
     # The folder may come from an unknown source, so its files are checked.
     file = folder / SUMMARY_NAME

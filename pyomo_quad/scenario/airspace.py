@@ -1,8 +1,9 @@
 """Table `airspace` of a scenario: height limits, fence, keep-out zones and terrain.
 
-Each keep-out zone is the intersection of balls (see `Ball`). The distance from the centre is
-measured in x, y and z for a sphere, in x and y for a vertical cylinder, and in one coordinate for a
-slab, the space between two parallel planes:
+Each keep-out zone is the intersection of balls. A ball is the set of places whose distance from a
+centre is at most a radius (see `Ball`). The distance is measured in x, y and z for a sphere, and in
+x and y for a vertical cylinder. For a slab, the space between two parallel planes, it is measured
+in the coordinate normal to the planes.
 
 zone | balls
 sphere | one sphere
@@ -469,8 +470,8 @@ class Airspace(Part):
     def distance_to_height_limits(self, places: "ArrayLike") -> "FloatArray":
         """Return the vertical distance of places to the nearer height limit [m], negative outside.
 
-        The limits are floor and ceiling. Without both, the distance is infinite. `places` have
-        shape (..., 3).
+        The limits are floor and ceiling. If the airspace has neither, the distance is infinite.
+        `places` have shape (..., 3).
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 

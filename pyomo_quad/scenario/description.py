@@ -152,9 +152,9 @@ class WritableField:
 def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...]) -> dict[str, Any]:
     """Return the JSON Schema by which editors complete and check a TOML file.
 
-    `model` describes the whole file, a scenario or a study. Alternative notations are included, and
-    fields that users do not write are excluded. `required` names the keys that every file must
-    have.
+    `model` describes the whole file, a scenario or a study. The schema includes alternative
+    notations of values, such as angles in degrees or places by latitude and longitude. It excludes
+    fields that users do not write. `required` names the keys that every file must have.
     """
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})

@@ -1,8 +1,8 @@
 """Reading of data on a rectilinear grid, such as wind or terrain, from NetCDF, CSV or Parquet.
 
 The file may come from an untrusted source. It is therefore read as data only, its size is limited,
-and its content is checked completely before use. Error messages begin with the text `place`, which
-names the scenario field and the file.
+and its content is checked completely before use. The argument `place` is a text that names the
+scenario field and the file. Error messages begin with it.
 """
 
 from collections.abc import Mapping
@@ -67,7 +67,7 @@ class Quantity:
     columns : tuple of str
         Column of each component in a CSV or Parquet table.
     needed : int
-        Number of required components.
+        Number of required components, from the first one on. The others are optional.
     units : mapping of str to float
         Factor from each unit to SI units.
     """
@@ -77,7 +77,6 @@ class Quantity:
     # The standard name of the CF conventions is the first.
     names: tuple[tuple[str, ...], ...]
     columns: tuple[str, ...]
-    # Counted from the first component; the others are optional.
     needed: int
     # The first unit is assumed for a variable without a unit.
     units: Mapping[str, float]
@@ -355,7 +354,8 @@ def _rising(field: Gridded, place: str) -> Gridded:
 def check_axes(axes: Mapping[str, FloatArray], place: str) -> None:
     """Raise an error if an axis of gridded data has too few, repeated or implausibly large values.
 
-    The axes must ascend and be in SI units. The ScenarioError begins with `place`.
+    `axes` maps the name of each axis to its points in ascending order. x, y and z are in m, time in
+    s. The order is not checked. The ScenarioError begins with `place`.
     """
     for name, points in axes.items():
         most, unit = (LATEST_TIME, "s") if name == "time" else (_FARTHEST_M, "m")

@@ -273,8 +273,10 @@ class Mission(Part):
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
         """Return the times at which waypoints are reached and left, and the end time [s].
 
-        `legs` are the desired flight times between neighbouring places [s]. Between two prescribed
-        times, one factor scales them. After the last prescribed time, they stay unchanged.
+        `legs` are the desired flight times from start to goal, from one place to the next [s].
+        Prescribed times are the start time 0, the times `at` of waypoints, and a fixed end time.
+        Legs between two prescribed times are multiplied by one factor, so that both times are met.
+        Times of hovering, and legs after the last prescribed time, stay unchanged.
         """
         goal = self.fixed_duration if not self.is_free else None
         given = (*(waypoint.at for waypoint in self.waypoints), goal)

@@ -118,8 +118,8 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     """Yield at most two remarks on numbers of a vehicle that are doubtful but not impossible.
 
-    They concern a product of motor constants that rounding explains but that is not 1, and a figure
-    of merit (ideal power / shaft power in hover) above 0.8.
+    One remark is made if k_t k_v differs from 1 by no more than rounding explains. The other is
+    made if the figure of merit (ideal power / shaft power in hover) exceeds 0.8.
     """
     motor = vehicle.motor
     # The product is 1 for a real motor. A difference up to `ROUNDED` may come from rounding of the
@@ -174,8 +174,8 @@ def _remedy(motor: MotorConstants) -> str:
 class _Hover:
     """Shaft power and ideal power of a vehicle in hover, and texts for messages about them.
 
-    `start` is the beginning of a message, with drag torque coefficient and shaft power. `radius` is
-    a text with rotor radius and source of this number.
+    `start` is a text with the values of drag torque coefficient and shaft power. A message about
+    hover begins with this text. `radius` is a text with rotor radius and source of this number.
     """
 
     start: str

@@ -2,7 +2,7 @@
 
 A field has its initial value if a user's scenario file omits it, and its default if a stored
 scenario omits it. Both are declared in the Pydantic class of the table (argument `model`). The
-library is the package's collection of vehicles, batteries and winds, the kinds of its entries.
+library is the package's collection of entries of three kinds: vehicles, batteries and winds.
 Overrides are values that replace values of the scenario file.
 
 The origin of each value is recorded, in words, by the dotted path of the field (`provenance`). TOML
@@ -265,8 +265,8 @@ def _entry(
 ) -> LibraryEntry:
     """Make a library entry of a kind, such as ``vehicles``, from the content `written` of its file.
 
-    In the file, a number stands alone or in a table with its source. `base` has the values that a
-    user's file omits; they are not copied.
+    In the file, a number stands alone or with its source. `base`, an attribute of the result, has
+    the values that a user's file omits.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -303,8 +303,9 @@ def _entry(
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     """Read a user's own vehicle, battery or wind from a file like those of the library.
 
-    `kind` is ``vehicles``, ``batteries`` or ``winds``. The attribute `base` of the result is the
-    library entry named by the key `use`. Raises ScenarioError if the file is not valid.
+    `kind` is ``vehicles``, ``batteries`` or ``winds``. The file is `name` in `folder`. Its key
+    `use` may name a library entry with the values that the file omits. This entry is the attribute
+    `base` of the result. Raises ScenarioError if the file is not valid.
     """
     written = dict(read_toml(folder / name))
     lines = list(_shape_complaints(kind, written))
@@ -759,10 +760,10 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the library name of a vehicle's battery pack, or the path of the pack's file.
+    """Return a battery pack's library name, or the path of its file.
 
-    `pack` is such a name, or a path relative to the folder of the vehicle's `file`. The resulting
-    path is relative to the scenario's folder.
+    `pack` is the name, or a path ending in ``.toml`` relative to the folder of the vehicle's file.
+    `file`, the vehicle's file, and the result are relative to the scenario's folder.
     """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 

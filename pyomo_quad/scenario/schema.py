@@ -267,7 +267,8 @@ class Scenario(Part):
         """Return a copy of the scenario with other settings of the baseline flight `cruise`.
 
         The flight `cruise` imitates the flight of an autopilot. A later call of `with_values` or
-        `replace` on the copy may undo the change, because both start from the scenario file.
+        `replace` on the copy undoes the change, because both start from the scenario file. Only a
+        scenario made without a file, by `model_validate`, keeps the change.
 
         Parameters
         ----------
@@ -545,8 +546,8 @@ def _in_declared_units(
 ) -> tuple[ScenarioSource, Rewritten]:
     """Convert values in other units, such as degrees, in tables and overrides to SI units.
 
-    The class `model` of the scenario declares the fields and their units. The second result records
-    conversions and errors; its attribute `tables` is empty.
+    The class `model` of the scenario declares the fields and their units. The first result has the
+    converted values. The second result records conversions and errors.
     """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

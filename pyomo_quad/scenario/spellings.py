@@ -138,7 +138,8 @@ def _towards(value: object, where: str) -> float:
     """Convert the direction from which a wind blows to the direction toward which it blows.
 
     `value` is clockwise from north [deg], the result counter-clockwise from +x (east) [rad]. Raises
-    a ScenarioError for an invalid value.
+    a ScenarioError for an invalid value. Its message begins with `where`, which names file and
+    field.
     """
     if not is_number(value) or not abs(value) <= _MOST_TURN:
         raise ScenarioError(

@@ -88,9 +88,9 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     def above(spline: FloatArray) -> FloatArray:
         """Return the Bernstein coefficients [m] of (spline - side * ground) in each grid cell.
 
-        `side` is 1 for a surface nowhere below the ground, else -1. `spline` holds the B-spline
-        coefficients, shape (len(x), len(y)) [m]. The result has shape (cells along x, cells along
-        y, 4, 4).
+        `side` is the argument of `surface_of`: 1 for a surface nowhere below the ground, -1 for one
+        nowhere above it. `spline` holds the B-spline coefficients of side * surface, shape (len(x),
+        len(y)) [m]. The result has shape (cells along x, cells along y, 4, 4).
         """
         found = (along_y.cubic @ (along_x.cubic @ spline).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)
@@ -181,7 +181,7 @@ def _through(
 class _Axis:
     """Matrices that evaluate a spline surface and the ground along one axis of a grid.
 
-    The number of grid points on the axis is n.
+    In the shapes of arrays, n is the number of grid points on the axis.
     """
 
     # From n spline coefficients to four Bernstein coefficients per cell, shape (4 (n - 1), n).

@@ -45,8 +45,8 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     """Read and check the heights of the ground on a grid, from NetCDF, CSV or Parquet.
 
     The result holds the fields of `airspace.ground`. Heights in the file are above the sea with
-    `origin`, else above z = 0. Raises ScenarioError, which begins with `place`, if the file is not
-    valid.
+    `origin`, else above z = 0. Raises ScenarioError if the file is not valid. Its message begins
+    with `place`, a text that names the scenario field and the file.
     """
     read = read_gridded(file, place, _HEIGHT)
     field = in_metres(read, origin, place)

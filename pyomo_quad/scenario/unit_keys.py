@@ -50,11 +50,12 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
 def paths_in_declared_units(
     assignments: Mapping[FieldPath, Any], model: type[BaseModel]
 ) -> tuple[dict[FieldPath, Any], Rewritten]:
-    """Convert all overrides whose values are in other units, such as degrees, to SI units.
+    """Convert all values of `assignments` in other units, such as degrees, to SI units.
 
-    The last key of a path, such as `roll_max_deg`, states the unit. The first result omits
-    overrides with errors. The second result records conversions and errors; its attribute `tables`
-    is empty.
+    `assignments` maps paths of fields to values that replace those of the scenario file. The last
+    key of a path, such as `roll_max_deg`, states the unit. The class `model` of the scenario
+    declares the fields. The first result has the converted assignments, without those that have
+    errors. The second result records conversions and errors.
     """
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():

@@ -4,8 +4,8 @@ The wind is a formula of time, a measured series, or a field over places. The co
 which it acts on the vehicle: through the drag, or as an acceleration, as in Yacef et al.
 
 The air density follows from height and temperature. The vehicle's aerodynamic coefficients are
-proportional to the air density. The origin of each value of a scenario, such as "default", is
-recorded by the dotted path of the field (`provenance`).
+proportional to the air density. Arguments `provenance` hold the origin of each value, such as
+"default", by the dotted path of the field.
 """
 
 from collections.abc import Iterator, Mapping
@@ -253,9 +253,9 @@ class WindGrid(Part):
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
         """Return whether the wind at given places and times is known, shape (n,).
 
-        Place and time must be inside the grid, and the wind at the nearest grid point known.
-        `places` have shape (n, 3) [m], and `times` [s] shape (n,) or (). The flight starts at the
-        time `wind.time_offset`.
+        The result is True if place and time are inside the grid, and the nearest grid point has
+        known wind. `places` have shape (n, 3) [m], and `times` [s] shape (n,) or (). `times` are
+        times of the wind data: the flight starts at the time `wind.time_offset`.
         """
         import numpy as np  # noqa: PLC0415  see `components`
 

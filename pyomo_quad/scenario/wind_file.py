@@ -1,6 +1,7 @@
 """Reading of measured winds over time, height or both from CSV files.
 
-Error messages begin with the text `place`, which names the scenario field and the file.
+The argument `place` is a text that names the scenario field and the file. Error messages begin with
+it.
 """
 
 import csv

@@ -1,5 +1,8 @@
 """Study of missions flown in the simulator RotorPy, and of the causes of differences.
 
+The argument `case` is the name of a mission. It is a key of `CASES`, or the name of a vehicle of
+RotorPy (a parameter set), which flies a short mission of its own.
+
 Each mission is flown in the package's own model (the "declared" vehicle) and in RotorPy's model. In
 both, flights have the package's controller or no feedback. RotorPy also flies its controller SE3.
 
@@ -184,8 +187,10 @@ class OutsideStudy:
     ) -> dict[str, Any]:
         """Return the table row of one flight of the study, by column name.
 
-        `case` is a key of `CASES` or a parameter set of RotorPy. If the flight went out of control,
-        its energy is NaN. IndexError is raised if there is no such flight.
+        `case` is the name of the mission: a key of `CASES`, or of RotorPy's vehicle that flies it.
+        `controller` is a name such as "adaptive", and `followed` the reference trajectory. If the
+        flight went out of control, its energy is NaN. IndexError is raised if the study has no
+        flight with these arguments.
         """
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
@@ -251,7 +256,8 @@ class Flown(NamedTuple):
 class _Mission:
     """Planned mission of the comparison with RotorPy, with methods that describe its flights.
 
-    `case` is a key of the mapping of missions `CASES`, or the name of a parameter set of RotorPy.
+    `case` is the name of the mission: a key of `CASES`, or the name of RotorPy's vehicle that flies
+    it.
     """
 
     case: str
@@ -300,9 +306,9 @@ class _Mission:
     ) -> Flown:
         """Describe a flight in RotorPy under a variant of its controller SE3, for later simulation.
 
-        `plant` is the simulated vehicle. The controller follows `path`, and `stiffness` is a factor
-        on its gains. The result table names vehicle, variant and reference by `at`, `name` and
-        `followed`.
+        `plant` is the simulated vehicle, and `at` its name in the result table. The variant of SE3
+        follows `path`, with gains multiplied by `stiffness`. In the result table, `name` is the
+        name of the variant, and `followed` the name of the reference trajectory.
         """
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
@@ -355,8 +361,8 @@ def _track(flight: Flight, plan: Plan) -> Track:
 def _small(paper: Scenario, name: str) -> Scenario:
     """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
 
-    `name` is RotorPy's parameter set. Settings neither of the vehicle nor of this mission are those
-    of `paper`, the mission of Yacef et al.
+    `name` is RotorPy's parameter set of the vehicle. The result is `paper`, the mission of Yacef et
+    al., with another vehicle, goal, duration, power model and solver tolerance.
     """
     said = {
         path.replace("fields.", "vehicle.", 1): value
@@ -386,10 +392,10 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights, to be simulated later, whose commanded position jumps from start to goal.
+    """Describe flights whose commanded position jumps from start to goal, to be simulated later.
 
-    The vehicle `limited` has the scenario's limit on the rotor acceleration. The flights without
-    this limit show its effect.
+    The vehicle `limited` has the scenario's limit on the rotor acceleration. Each flight in RotorPy
+    is described with and without this limit, to show its effect.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
@@ -399,9 +405,10 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 
 
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights, to be simulated later, that show why controller SE3 misses the goal in wind.
+    """Describe flights that show why controller SE3 misses the goal in wind.
 
-    RotorPy's controller SE3 then has larger gains, or a feedforward of the aerodynamic force.
+    The flights are simulated later. In them, SE3 has larger gains, or a feedforward of the
+    aerodynamic force.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -434,7 +441,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of one of RotorPy's vehicles, to be simulated later in both simulation models.
+    """Describe flights of one of RotorPy's vehicles in both models, to be simulated later.
 
     All flights follow the plan of `mission`, a mission of the vehicle.
     """
@@ -460,7 +467,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 
 
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights, to be simulated later, that show the effect of the point at which drag acts.
+    """Describe flights that show the effect of the point at which drag acts, to be simulated later.
 
     In RotorPy drag acts at the rotors, in the declared vehicle at the centre of mass.
     """
@@ -480,8 +487,8 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights; yield each flight's table row, its description, and the flight itself.
 
-    `case` names the mission in the rows. A flight that went out of control is None. Each flight is
-    compared with the declared vehicle's along the same reference, which comes first.
+    `case` names the mission in the rows. A flight that went out of control is None. Rows compare a
+    flight with the declared vehicle's earlier flight along the same reference, if any.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:

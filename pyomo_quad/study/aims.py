@@ -58,9 +58,10 @@ def energy_and_charge(
     """Return energy and charge of a plan and of the plan for the other objective.
 
     The rows have the columns `AimColumn`, the plan of least energy first. The table is empty if the
-    solve for the other objective fails, is stopped, or ends at a worse plan. It is also empty if
-    `plan` is not verified by simulation, or has a third objective, such as least time. The same
-    holds for a user's own vehicle model, and for the attitude equations of Yacef et al.
+    solve for the other objective fails or is stopped. It is empty if this solve finds a plan that
+    is worse than `plan` in the other objective. It is also empty if `plan` is not verified by
+    simulation, or has a third objective, such as least time. The same holds for a user's own
+    vehicle model, and for the attitude equations of Yacef et al.
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER

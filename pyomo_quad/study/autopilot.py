@@ -8,9 +8,10 @@ A plan's energy saving is measured against an autopilot. For a fair comparison, 
 tuned for least energy by Nelder and Mead's method. In the search, a flight that breaks a limit of
 the vehicle or misses the goal is penalised.
 
-A flight ends near the goal, not exactly at the goal state. The costates of a plan give an estimate
-of the energy between the two states. The tuning adds it to the energy of the flight, or leaves it
-out if there is no plan (None). The planner provides the vehicle's equations for the simulation.
+A flight ends near the goal, not exactly at the goal state. The costates of an argument `plan` give
+an estimate of the energy between the two states. The tuning adds the estimate to the energy of the
+flight. If `plan` is None, the estimate is left out. Arguments `planner` provide the vehicle's
+equations for the simulation.
 """
 
 from dataclasses import dataclass, replace
@@ -89,8 +90,9 @@ _CONFIRMED = 4
 class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
-    The flight is simulated at reduced accuracy. `reached` holds values of the reference trajectory.
-    If the vehicle does not arrive, `duration_s` is the whole simulated time.
+    The flight is simulated at reduced accuracy. `reached` holds the largest speed and acceleration
+    of the reference trajectory, and the allowed jerk. If the vehicle does not arrive, `duration_s`
+    is the whole simulated time.
 
     In three cases `energy_J` leaves out the energy from the end of the flight to the exact goal
     state: the vehicle does not arrive, the search had no plan, or the plan was made for a wind
@@ -196,9 +198,13 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
     """Tune an autopilot for least energy, and fly the result.
 
+    The search simulates flights at reduced accuracy. At most four of its settings are flown again
+    at full accuracy, those of least cost first. The first of these flights that arrives and keeps
+    all limits is the result.
+
     With a `plan`, energies include the estimated energy from the end of a flight to the exact goal
-    state. The errors are those of `fly_cruise`. ScenarioError is also raised if no flight with one
-    of the four best settings arrives within the limits.
+    state. If this estimate is unknown, a flight does not qualify. If no flight qualifies,
+    ScenarioError is raised. Other errors are those of `fly_cruise`.
     """
     tried = _search(scenario, plan, planner)
     # The search simulates at reduced accuracy. Its best settings are flown at full accuracy, and

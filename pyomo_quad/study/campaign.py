@@ -1,11 +1,12 @@
-"""Campaign: missions repeated on each battery charge until no further flight is possible.
+"""Campaign: missions repeated on one or more charges of a battery.
 
 On one charge, each flight starts with the state of charge, relaxation voltage and temperature that
 the battery has at the end of the flight before it. The battery neither rests between flights nor
 ages.
 
 The flights on one charge end when the next flight has no plan. It would, for example, leave less
-charge than the reserve, or the voltage would fall below its limit.
+charge than the reserve, or the voltage would fall below its limit. The battery is then recharged,
+and all charges begin in the same state.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,9 @@
 """A lower bound on the energy of every flight that meets a mission's boundary conditions.
 
 A leg is the flight from one waypoint to the next. A pair is a combination of thrust and airspeed.
-The argument `planner` compiles the equations of a scenario and keeps them for later calls; it
-plans no flight here.
+The basis of a bound is a sentence that says why the bound holds, and for which flights. The
+argument `planner` compiles the equations of a scenario and keeps them for later calls; it plans no
+flight here.
 
 Derivation, proof and variants: see docs/theory/bound.md, eqs. (1) to (11).
 """
@@ -156,9 +157,9 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Integrate the thrust that holds the vehicle at rest over a flight, with both weights.
+    """Return two weighted integrals of the thrust that holds the vehicle at rest over a flight.
 
-    `_weights` gives the weights. The results, shape (3,), are the terms with S in
+    `_weights` gives the weights in the integrals. The results, shape (3,), are the terms with S in
     docs/theory/bound.md, eqs. (2) [N s] and (4) [N s^2]. `rate` is drag coefficient over mass
     [1/s].
     """
@@ -261,7 +262,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 
 
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
-    """Return the largest known lower bound on the energy of a mission [J], and its basis in words.
+    """Return the largest known lower bound on the energy of a mission [J], and its basis.
 
     If no bound is known, the first result is None and the text is the reason.
     """
@@ -304,10 +305,10 @@ def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
 def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, why_not_by_legs: str
 ) -> _Found:
-    """Return a lower bound on the energy that ignores the waypoints, and its basis in words.
+    """Return a lower bound on the energy that ignores the waypoints, and its basis.
 
-    The bound [J] is None for a free duration or a changing mass. `why_not_by_legs`, such as "with
-    drag", ends the returned sentence on these cases, or on ignored waypoints.
+    For a free duration, a changing mass or an impossible mission, return None and the reason. The
+    returned sentence may end with `why_not_by_legs`, the result of `_why_not_by_legs`.
     """
     mission = scenario.mission
     if mission.released > 0.0:
@@ -334,10 +335,10 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Return a lower bound on the energy of flights through the waypoints, and its basis in words.
+    """Return a lower bound on the energy of flights through the waypoints, and its basis.
 
-    The bound [J] holds for all durations that the mission allows, and all passing times at the
-    waypoints. Power and drag must not depend on the airspeed.
+    The bound [J] holds for all allowed durations and passing times. If no flight is possible,
+    return None and the reason. Call it only if `_why_not_by_legs` returns an empty text.
     """
     mission = scenario.mission
     standing = demand.thrust(0.0)
@@ -381,10 +382,10 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Return a lower bound on the energy from all pairs of thrust and airspeed, with its basis.
+    """Return a lower bound on the energy from all pairs of thrust and airspeed, and its basis.
 
-    Without a bound [J], return None and the reason. `_bound` calls this function if power or drag
-    depends on the airspeed. `demand` gives the thrust of a motion.
+    If no bound [J] is found, return None and the reason. `_bound` calls this function if power or
+    drag depends on the airspeed. `demand` gives the thrust of a motion.
     """
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
@@ -434,10 +435,11 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
-    """Return the sentence that explains the basis of the bound from `_bound_by_pairs`.
+    """Return the basis of the bound from `_bound_by_pairs`.
 
     `counted` has the mission of the bound: a copy of `scenario` without waypoints if their order is
-    free. `legs` is the number of its legs. `of_field` says which winds the bound includes.
+    free. `legs` is the number of its legs. `of_field` is a clause on the winds of a wind field, or
+    empty.
     """
     of_legs = f" on each of {legs} legs" if counted.mission.waypoints else ""
     left_out = (
@@ -460,10 +462,11 @@ def _bound_of_places(
     winds: FloatArray,
     power: float,
 ) -> float:
-    """Return a lower bound on the energy of flights through a wind field [J], or minus infinity.
+    """Return a lower bound on the energy of flights through a wind field [J].
 
-    Call it only if `_has_places` returns True. The corners `winds` enclose all winds; `pairs_in`
-    makes the `Pairs` for such corners. `power` is that of hover [W].
+    If none is found, the result is minus infinity. Call it only if `_has_places` returns True. The
+    corners `winds` enclose all winds; `pairs_in` makes the `Pairs` for corners. `power` is that of
+    hover.
     """
     mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
     ends = np.array([mission.start.position, mission.goal.position])
@@ -476,9 +479,12 @@ def _has_places(
 ) -> bool:
     """Return whether the function `_bound_of_places` can bound the energy of a mission.
 
-    It needs one leg without position tolerance at its ends, and `wind.beyond` other than "hold".
-    The thrust `standing` for zero airspeed must be vertical. The `winds` must be horizontal and
-    unequal.
+    The result is True if all these conditions hold:
+
+    - `wind.beyond` is not "hold";
+    - the mission has one leg, without position tolerance at its ends;
+    - the thrust `standing` for zero airspeed is vertical;
+    - the corners `winds` of all winds are horizontal and not all equal.
     """
     return (
         scenario.wind.beyond is not Beyond.HOLD
@@ -598,10 +604,11 @@ class _SteadyPower:
         return float(np.interp(thrust, self.thrust[1:], self._slope))
 
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the convex conjugate of the power [W] at prices of thrust, and best thrusts [N].
+        """Return the maximum of price * thrust - power [W], and its thrust [N], for each price.
 
-        The conjugate bounds the maximum of price * thrust - power from above: docs/theory/bound.md,
-        eq. (10). `price` is not negative [W/N].
+        The maximum is the convex conjugate of the power. The result is never below it, because a
+        lower bound replaces the power: docs/theory/bound.md, eq. (10). `price` [W/N] is not
+        negative.
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]

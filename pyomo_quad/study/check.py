@@ -41,8 +41,9 @@ def _caution(subject: str, message: str) -> Finding:
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield findings on a battery with too little charge or power for a mission of fixed duration.
 
-    A finding is "impossible" if every flight provably breaks a limit. The proof is the initial
-    charge, or the lower bound on the mission's energy from `certify`. Other findings are cautions.
+    A finding is "impossible" if the initial charge is below the least allowed charge. It is also
+    "impossible" if even a flight that takes only the lower bound on the energy, from `certify`,
+    breaks a limit. Other findings are cautions.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     # Only a caution: the battery's equations stay finite for an empty battery.
@@ -234,7 +235,8 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
     """Return the strictest limit on the thrust as text, and the largest thrust that it permits [N].
 
-    The limits are those on rotor speed, thrust and rotor acceleration.
+    The limits are those on rotor speed, thrust and rotor acceleration. The rotors start and end at
+    hover speed, so a limit on their acceleration limits their speed.
     """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight, by
@@ -299,10 +301,11 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
+    """Return a duration [s] below which the thrust `available` [N] is too small for the mission.
 
-    `demand` gives the thrust of a motion. The mission's own duration must be too short. If no
-    longer duration tried suffices, or in measured wind, the result is infinite.
+    Call it only if the mission's own duration is too short. `demand` gives the thrust of a motion.
+    The result is infinite if all durations tried are too short. It is also infinite if the wind is
+    a measured series.
     """
     # After the end of the mission, a measured wind is unknown: no longer duration can be tried.
     if scenario.wind.series is not None:
@@ -547,8 +550,8 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
     """Yield a caution if part of a plan is outside the valid range of the polynomial f_r.
 
-    f_r is the efficiency of motor and rotor. Outside its range, the torque or f_r is below the
-    scenario's lower limit.
+    f_r is the efficiency of motor and rotor. It is valid if the torque is at least
+    `power.torque_floor` of the scenario, and f_r at least `power.efficiency_floor`.
     """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):

@@ -90,7 +90,8 @@ class ComparisonColumn(TableColumn):
     """Columns of the table that compares the flights of a mission, one row for each flight.
 
     A simulated flight ends near the goal. Its owed energy is the estimated energy from there to the
-    exact goal state. With E = energy + owed energy of a flight, and E_plan that of the plan:
+    exact goal state. The lower bound is that on the energy of every flight of the mission, from
+    `study.certificate`. With E = energy + owed energy of a flight, and E_plan that of the plan:
 
     - excess = E - energy of hovering for the duration of the flight;
     - gap = 100 (E - lower bound) / E;
@@ -143,10 +144,11 @@ def compare_flights(
 ) -> "pd.DataFrame":
     """Compare the flights of one mission in a table of the columns `ComparisonColumn`.
 
-    `scenario` is the plan's `mission_flown`, and `hover_energy_J` the energy of hovering for its
-    duration. `certificate` holds the lower bound on the mission's energy, for the columns of bound
-    and gap. The plan's flight has the name "optimal". Undefined values are NaN. If the scenario
-    sets `limits.reserve`, the column `RESERVE` is added.
+    In `flights`, the flight of the run's plan has the name "optimal". `scenario` is the attribute
+    `mission_flown` of this plan. `hover_energy_J` is the energy of hovering for the
+    duration of `scenario`. `certificate` holds the lower bound on the mission's energy, for the
+    columns of bound and gap. Undefined values are NaN. If the scenario sets `limits.reserve`, the
+    column `RESERVE` is added.
     """
     # With a forecast, the plan was made for the forecast wind, but bound and other flights are of
     # the actual wind.
@@ -238,7 +240,8 @@ class LegColumn(TableColumn):
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
     """Return times, length and energy of each leg of a flight, and of each hover, as a table.
 
-    `mission` has the passing times of the flight. `frame` is the flight's table over time.
+    `mission` is a scenario whose waypoints have the passing times of this flight, such as
+    `Plan.mission_flown`. `frame` is the flight's table over time.
     """
     return LegColumn.of_rows(leg_rows(mission, frame))
 
@@ -248,8 +251,8 @@ def leg_rows(
 ) -> list[dict[str, str | float]]:
     """Return times, length and energy of each leg of a flight, and of each hover at a waypoint.
 
-    `mission` has the passing times, `flown` the columns of time, position and energy. Without
-    waypoints, position or energy, the list is empty.
+    `mission` is a scenario whose waypoints have the passing times of this flight. `flown` has the
+    columns of time, position and energy. Without waypoints, position or energy, the list is empty.
     """
     if not mission.mission.waypoints or not {ENERGY, *_PLACE}.issubset(flown):
         return []
@@ -320,8 +323,8 @@ class ReplanningColumn(TableColumn):
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return results and solve times of all flights whose plan is solved again during the flight.
 
-    Solve times are measured. If ``settings.clock`` is "stated", the simulated flight instead
-    assumes that each solve takes ``settings.solve_time``.
+    The table has measured solve times. If ``settings.clock`` is "stated", they do not affect the
+    simulated flight, which assumes that each solve takes ``settings.solve_time``.
     """
     rows = []
     for flight in flights:

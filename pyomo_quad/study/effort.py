@@ -3,8 +3,8 @@
 Features of the mission that cost time are, for example, waypoints, keep-out zones and wind fields.
 The estimate states how much time planning without each of them would save.
 
-Ipopt's iterations take most of the time. The time of an iteration is proportional to the number of
-unknowns: variables per collocation point times points of the mesh. The solve may be repeated for
+Ipopt's iterations take most of the time. The time of an iteration is proportional to the size of
+the problem: variables per collocation point times points of the mesh. The solve may be repeated for
 several meshes, routes and orders of the waypoints.
 
 The constants were measured. The command `python -m tests.benchmarks resolve missions` compares

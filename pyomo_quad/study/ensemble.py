@@ -219,7 +219,7 @@ def fly_plan_often(
     """Simulate a plan many times under the adaptive controller, each time in a random wind.
 
     `scenario` has the duration and passing times of the plan (`Plan.mission_flown`). `held` has
-    states and controls of the plan. The name of the flights is "adaptive/plan".
+    states and controls of the plan. The attribute `name` of the result is "adaptive/plan".
     """
     # The plan was made for the forecast wind or, without a forecast, for the actual wind without
     # turbulence.
@@ -245,7 +245,8 @@ def fly_cruise_often(
     With the same seed, the winds are those of `fly_plan_often`. Every flight ends with the same
     wait at the goal. It is the shortest wait with which the share `arriving` of the flights ends at
     the goal and at rest. If no wait tried suffices, it is the one with most arrivals. Each flight
-    lasts at least `least_s`.
+    lasts at least `least_s` [s]. `name` is the name of the result; the default states controller,
+    reference and speed, as in "adaptive/cruise 6 m/s".
     """
     named = name or baseline_name(Reference.CRUISE, settings.speed)
 

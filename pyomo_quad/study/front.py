@@ -1,7 +1,8 @@
 """Energy-time front: least energy of a mission of free duration against its duration.
 
-Each point of the front is a flight that minimises energy + price of time [W] * duration. Every
-shorter flight takes at least as much energy. The mission sets one price; others are tried.
+Each point of the front is a flight that minimises energy + price of time [W] * duration. No price
+is negative, so no shorter flight of the mission takes less energy than the flight of the point. The
+mission sets one price; others are tried.
 
 Where the least energy is convex in the duration, each price selects one flight. There the slope is
 minus the price.

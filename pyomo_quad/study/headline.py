@@ -173,9 +173,10 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row in `comparison`.
 
     `comparison` is the table of `compare_flights`. A flight other than "optimal" and
-    "open_loop/plan" qualifies if the saving in its row is not NaN. The tuned autopilot is
-    preferred. The flight under the controller along a smooth straight path ("adaptive/quintic") is
-    second, that of least energy third. If none qualifies, the result is None.
+    "open_loop/plan" qualifies if the saving in its row is not NaN. The first choice is the flight
+    of an autopilot tuned for least energy (`TUNED_CRUISE`). The second choice is the flight under
+    the controller along a smooth straight path ("adaptive/quintic"). The third choice is the flight
+    of least energy. If no flight qualifies, the result is None.
     """
     # The flight of the plan, and the simulation of its rotor commands without feedback.
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))

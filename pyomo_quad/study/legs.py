@@ -25,13 +25,13 @@ G_k = mean over the leg of p . s_k - P*(length(p)).
 At a passage with a speed limit y may jump. A jump lowers the bound by the speed limit times the
 length of the jump.
 
-If only the sum of the T_k is given or limited, and all A_k >= 0 and all G_k > mu, every flight
-takes at least the energy
+In a group of legs, only the sum of the T_k is given or limited. Let mu be any number below all G_k
+of the group; it may be negative. If all A_k >= 0, the legs take at least the energy
 
 sum over k of  2 sqrt(A_k (G_k - mu)) + mu T_k.
 
-This bound depends on the T_k only through their sum. The two bounds are equal at T_k = sqrt(A_k /
-(G_k - mu)).
+This bound depends on the T_k only through their sum. If the sum is limited, its allowed value with
+the least bound counts. The two bounds are equal at T_k = sqrt(A_k / (G_k - mu)).
 """
 
 from __future__ import annotations
@@ -175,8 +175,9 @@ class Itinerary:
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
         """Return A_k [J s] and G_k [W] of all legs, the term of the jumps [J], and their gradients.
 
-        `prices`, shape (n_prices, 3), are the prices y of velocity. The gradients with respect to
-        them have the shape (2 n_legs + 1, n_prices, 3).
+        `prices`, shape (n_prices, 3), are the prices y of velocity at start, waypoints and goal. A
+        waypoint with a speed limit has two. The gradients have the shape (2 n_legs + 1, n_prices,
+        3).
         """
         n = len(self._displacements)
         legs = np.arange(n)
@@ -207,8 +208,10 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        The search over the prices of velocity starts from the price of thrust `price`, shape (3,),
-        W/N. If no prices give a bound, the result is -1e12 J.
+        A search finds the prices y of velocity with the largest bound. It starts from y = m p - c x
+        with the best of several factors c. Here m is the mass at the start, x the displacement from
+        the start, and p the price of thrust `price`, shape (3,), W/N. If no prices give a bound,
+        the result is -1e12 J.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(

@@ -1,9 +1,9 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
 The risk of a plan is the allowed share of its flights in turbulence that break a limit. The planner
-simulates test flights of the plan in turbulence. A broken limit is expected within the risk, or
-covered by it, if it is among the three that the test flights break most often. The risk covers a
-flight if it covers every limit that the flight breaks.
+simulates test flights of the plan in turbulence. The risk covers a limit if the limit is among the
+three that the test flights break most often. The risk covers a flight if it covers every limit that
+the flight breaks.
 """
 
 from collections.abc import Iterator, Sequence

@@ -26,8 +26,10 @@ energy >= w . displacement + duration * (least H over all pairs u, v),
 H = P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s).
 
 In a wind field, the kinetic energy is that of the motion relative to air of the velocity U, p in H
-is replaced by p + eta (W - U), and the least H is taken over all winds too. The products m p and m
-eta are equal on all legs.
+is replaced by p + eta (W - U), and the least H is taken over all winds too.
+
+The prices are chosen such that m p and m eta are equal on all legs. Only then do the unknown
+velocities at the waypoints cancel in the sum over the legs.
 
 H is minimised over T, a and r: of all orientations of a pair in space, the best one is known in
 closed form. As a coordinate, T is replaced by the rotor speed. With the power model `momentum`, T
@@ -130,8 +132,8 @@ class Pairs:
     The limits of `scenario` on rotor speed and vehicle speed, and the thrust `most_thrust` [N] of
     all rotors, bound the pairs. `winds` [m/s], shape (n_winds, 3), are the corners of a polyhedron
     of all winds of the mission. `dynamics` has the compiled equations of the vehicle. By default,
-    the wind is the steady wind in these equations. If `winds` is given, they are those of still
-    air.
+    the wind is the steady wind in these equations. If `winds` is given, compile `dynamics` for
+    still air.
 
     Attributes
     ----------
@@ -187,8 +189,8 @@ class Pairs:
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
         """Return rotor speed, thrust, power, `excess` and `margin` of a pair as CasADi expressions.
 
-        The power [W] is that of equal rotor speeds, the least power unless `margin` is negative.
-        Then unequal speeds of the same thrust take at most `excess` less: docs/theory/bound.md, eq.
+        The power [W] is that of equal rotor speeds. Unequal speeds of the same thrust can take less
+        power only if `margin` is negative, and at most `excess` [W] less: docs/theory/bound.md, eq.
         (17).
         """
         each = range(1, len(self._rotors) + 1)
@@ -224,11 +226,11 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Return H and its parts at n pairs, shape (8, n), in SI units.
+        """Return H and other quantities at n pairs, shape (8, n), in SI units.
 
-        The rows are H without `_constant`, thrust, rotor speed, margin, air force across and along
-        the thrust, power, excess. `_of_rotors` explains margin and excess. With the default
-        `numbers`, H is the power.
+        `points`, shape (3, n), has the coordinates. The rows are H without `_constant`, thrust,
+        rotor speed, margin, air force across and along the thrust, power, excess. `_of_rotors`
+        explains margin and excess.
         """
         # With the default `numbers`, H is the power.
         found = self._enclosure.at(points, (*numbers, 1.0))
@@ -285,8 +287,8 @@ class Pairs:
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
         """Convert the prices on a leg into prices for the motion through the air in one wind.
 
-        The kinetic energy is then relative to air of the velocity `wind`: docs/theory/bound.md, eq.
-        (20).
+        The price of momentum p becomes p + eta (W - U), where W is `wind`. The other prices remain
+        the same: docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -318,8 +320,9 @@ class Pairs:
     ) -> FloatArray:
         """Return proven lower bounds on G, the least H over all pairs in still air, shape (n,) [W].
 
-        The prices of momentum include the effect of the wind. `above` has upper bounds on G. Unless
-        the search ends early, the error is at most `tolerance` [W]. Implements
+        The prices of momentum include the effect of the wind. `above` has upper bounds on G, such
+        as the least H of sampled pairs; branch and bound starts from them. The results are at most
+        `tolerance` [W] below G, unless the search ends after too many boxes. Implements
         docs/theory/bound.md, eq. (23).
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
@@ -352,8 +355,8 @@ class Pairs:
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
         """Return pairs at the lowest local minima of H, found by sampling, and H at these pairs.
 
-        At most `_CANDIDATES` pairs are returned. H [W] is without `_constant`. `prices` come from
-        `_in_wind`.
+        At most `_CANDIDATES` pairs are returned. H [W] is without `_constant`. `prices` are those
+        for the motion through the air in one wind, from `_in_wind`.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -388,9 +391,9 @@ class Pairs:
     ) -> list[FloatArray]:
         """Return the rows of `cheapest` for the pair with the coordinates `at`.
 
-        A row has power and derivatives of H by the prices, at the orientation with the least H. If
-        `standing` is vertical, seven rows follow for the pair turned about the vertical. `prices`
-        come from `_in_wind`.
+        The pair has the orientation with the least H. If `standing` is vertical, seven rows follow,
+        for the pair turned about the vertical in steps of 45 degrees. `prices` are those for
+        `wind`, from `_in_wind`.
         """
         momentum, displacement = (
             prices.momentum,
@@ -431,11 +434,10 @@ class Pairs:
         return proven
 
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
-        """Return proven lower bounds on H without `_constant` for each column of `numbers` [W].
+        """Return a proven lower bound on H without `_constant` for each column of `numbers` [W].
 
-        `numbers`, shape (4, n), has a column per set of prices. `sampled`, shape (n,), has H at
-        some pair, without `_constant`. If the search ends early, bounds are looser than
-        `tolerance`.
+        `numbers`, shape (4, n), has a column per set of prices. `sampled`, shape (n,), has upper
+        bounds on this least H. Unless the search ends early, errors are at most `tolerance`.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -466,8 +468,9 @@ class Pairs:
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which of n boxes may contain a permitted pair with H below `enough`.
 
-        H is without `_constant`. `numbers` has a column, `enough` an item, per box. For boxes with
-        such a pair, also return whether equal rotor speeds provably take least power.
+        H is without `_constant`. `numbers` has a column, `enough` an item, per box. For each box
+        not excluded, the second result says whether equal rotor speeds provably take the least
+        power at all its pairs.
         """
         # Without the slopes that `_box` bounds, the enclosure is much faster.
         given = np.vstack([numbers, np.zeros(low.shape[1])])
@@ -488,9 +491,9 @@ class Pairs:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
         """Return for n boxes a lower bound on H, H at a pair inside, and the coordinate to halve.
 
-        `numbers` has a column for each box; `is_alike` comes from `_not_excluded`. H is without
-        `_constant`; for too much thrust, the second is infinite. Implements docs/theory/bound.md,
-        eq. (18).
+        `numbers` has a column per box; `is_alike` comes from `_not_excluded`. H is without
+        `_constant`, and infinite at a pair beyond the largest thrust. Implements
+        docs/theory/bound.md, eq. (18).
         """
         given = np.vstack([numbers, is_alike])
         (under, _), slopes = self._enclosure.over(low, high, given)
@@ -541,9 +544,10 @@ def bound_of_pairs(
 ) -> float:
     """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
-    Implements docs/theory/bound.md, eq. (19). Tolerances are fractions of `power`, the power of
-    hover [W]. `shared` has the least and greatest total duration of each group of legs [s]; the
-    attribute `group` of a leg is an index of it. `legs_of` gives `legs` and `shared`.
+    Implements docs/theory/bound.md, eq. (19). The tolerances of the search and of the proof are
+    fixed fractions of `power`, the power of hover [W]. `shared` has the least and greatest total
+    duration of each group of legs [s]; the attribute `group` of a leg is an index of it. `legs_of`
+    gives `legs` and `shared`.
     """
     prices, program = prices_of_pairs(pairs, legs, shared, power)
     tolerance = POWER_TOLERANCE * power
@@ -558,9 +562,9 @@ def prices_of_pairs(
     """Search for the prices that give the largest lower bound on a flight's energy.
 
     Return the best prices on each leg, and the linear program, which computes the bound from proven
-    values of H. Tolerances are fractions of `power`, the power of hover [W]. `shared` has the least
-    and greatest total duration of each group of legs [s]; the attribute `group` of a leg is an
-    index of it.
+    values of H. The tolerance of the search is a fixed fraction of `power`, the power of hover [W].
+    `shared` has the least and greatest total duration of each group of legs [s]; the attribute
+    `group` of a leg is an index of it.
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)

@@ -13,7 +13,7 @@ f, s | force of the air, and thrust that holds the vehicle still at zero airspee
 P | power of the vehicle, a function of u and v
 phi(x, y) | potential: linear in each of two triangles of a cell of the field's grid [J]
 q | gradient of the potential, and as third component the price of vertical displacement [N]
-o, eta | prices of momentum in still air [W/N] and of kinetic energy; both equal at all places
+o, eta | prices of momentum in still air [W/N] and of kinetic energy; each is the same everywhere
 W | wind
 a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
@@ -25,7 +25,7 @@ G(o + eta W, q) >= h + q . W.
 
 G is a concave function of a and q together. Therefore
 
-- linear interpolation between proven values of G gives lower bounds on G;
+- linear interpolation between proven lower bounds on G gives lower bounds on G;
 - the allowed gradients in a wind form a convex set, which an inscribed polygon represents;
 - in each cell, limits on the two wind components form a rectangle of winds: a gradient that is
   allowed at its four corners is allowed in all winds of the cell.
@@ -72,7 +72,7 @@ _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 
 @dataclass(frozen=True, kw_only=True)
 class PlacePrices:
-    """Prices in the bound by a potential, which are equal at all places of a wind field.
+    """Prices in the bound by a potential, each the same at all places of a wind field.
 
     They are multipliers of the changes that the mission fixes. The module docstring defines o, eta
     and h.
@@ -119,7 +119,8 @@ class PlacePrices:
         """Tabulate the function G over horizontal prices of momentum and gradients of a potential.
 
         `least` takes n sets of prices and returns G, or lower bounds on it, shape (n,) [W]. `sizes`
-        and `lengths` are those of `GradientTable`. This object gives the other prices.
+        and `lengths` are those of `GradientTable`. The vertical price of momentum, and the prices
+        of kinetic energy and vertical displacement, are those of this object.
         """
         angles = np.pi * np.arange(_DIRECTIONS) / (_DIRECTIONS - 1)
         aside = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
@@ -162,10 +163,11 @@ class GradientTable:
     values: FloatArray
 
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
-        """Return the allowed gradients of a potential in n winds, shape (n, 2) [m/s], as polygons.
+        """Return a polygon of allowed gradients of a potential for each of n winds.
 
-        The result has their corners [N], shape (n, n_corners, 2), counter-clockwise. It is None if
-        a wind forbids the gradient zero. Implements docs/theory/bound.md, eq. (26).
+        `winds` has the shape (n, 2) [m/s]. The result has the corners of the polygons [N],
+        counter-clockwise, shape (n, n_corners, 2). It is None if the gradient zero is not allowed
+        in one of the winds. Implements docs/theory/bound.md, eq. (26).
         """
         # The table does not depend on the price of time, so `prices.power` may differ from that of
         # its computation.
@@ -192,8 +194,8 @@ class GradientTable:
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
     """Return the place where each of many concave functions falls to zero, by linear interpolation.
 
-    `at`, shape (m, k), holds the places of the samples `values`, shape (n, m, k). The first sample
-    is positive. If all samples are positive, the result is the last place.
+    `values`, shape (n, m, k), has the k samples of each function, `at`, shape (m, k), their places.
+    The first sample is positive. If all are, the result is the last place.
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -317,7 +319,7 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
     """Return the edges of the intersection of each cell's polygons: cell index, normal, and limit.
 
     A gradient q is inside if `normal . q <= limit` for all edges of its cell. `polygons` has the
-    shape (n_cells, n_winds, n, 2). Each polygon contains the origin.
+    shape (n_cells, n_winds, n_corners, 2). Each polygon contains the origin.
     """
     import shapely  # noqa: PLC0415  for fields alone
 
@@ -372,8 +374,9 @@ class _Search:
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
         """Return `prices` with the best price of time (`power`); the other prices are unchanged.
 
-        The best one gives the largest approximate lower bound. If the greatest duration exceeds
-        twice the least, `prices` are returned unchanged. The result is None if they give no bound.
+        The best price gives the largest approximate lower bound. If the greatest allowed duration
+        exceeds twice the least, all prices are unchanged. If no price of time gives a bound, the
+        result is None.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
@@ -425,7 +428,7 @@ def bound_by_places(
 ) -> float:
     """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
-    `winds`, shape (n, 3) [m/s], are corners of a polyhedron of all winds, all horizontal.
+    `winds`, shape (n, 3) [m/s], are horizontal: the corners of a polygon that contains all winds.
     `pairs_in` takes such corners and returns the pairs of the vehicle in these winds. `leg` is the
     flight from start to goal, which the search for prices needs. `durations` has its least and
     greatest duration [s]. `power` is that of hover [W]. If no prices give a bound, the result is

@@ -71,8 +71,9 @@ class RunResult(Summarised):
     timings : mapping
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
         "certify" is the time for the lower bound, "front" that for the tables `front` and `aims`.
-        "fly" is the time from the end of planning to the end of the last flight, less "certify",
-        "front" and the time of `meanwhile` (see `run_scenario`).
+        "fly" is the time from the end of planning to the end of the last flight. It excludes
+        "certify", "front" and the time of the callback `meanwhile` of `run_scenario`, which come in
+        between.
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
@@ -350,7 +351,7 @@ def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[st
     """Yield a warning for each simulated flight that failed, or whose simulation is doubtful.
 
     `flown` has a flight or, as text, the reason of failure for each simulation. `flights` has the
-    flights and the plan's own; their `doubt` says why a simulation is doubtful.
+    plan's flight and all simulated flights. Their `doubt` says why a flight is doubtful.
     """
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
@@ -361,8 +362,9 @@ def _often(
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
     """Simulate many flights of a run in turbulence; return them, and a warning if this fails.
 
-    `tuning` has the settings of an autopilot tuned for least energy, or is None. The flights are
-    None after a failure, without turbulence, or if the plan must not be flown.
+    They follow the plan, or an autopilot with the settings in `tuning`. Without `tuning`, it flies
+    at the first cruise speed if `references` include the cruise. The flights are None after a
+    failure, without turbulence, or if the plan must not be flown.
     """
     baseline = plan.scenario.baseline
     cruise = None if tuning is None else tuning.settings
@@ -398,8 +400,8 @@ def _adaptation(
 ) -> pd.DataFrame | None:
     """Simulate a run's mission with and without the controller's adaptation to the wind.
 
-    The result is the table of `adaptation_study`. It is None if the plan's flight, `optimum`, is
-    None, in calm air, or if a simulation fails.
+    The result is the table of `adaptation_study`. It is None if `optimum`, the plan's flight, is
+    None or meets no wind. It is also None if a simulation fails.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

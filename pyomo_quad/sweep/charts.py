@@ -109,7 +109,8 @@ def _plot(
 ) -> None:
     """Draw one quantity of a sweep against another into a panel, with a marker at each case.
 
-    `of` holds the quantities on the horizontal and on the vertical axis.
+    `of` holds the quantities on the horizontal and on the vertical axis. `look` has Matplotlib
+    properties of the line, which replace those of `style`.
     """
     over, quantity = of
     marked = style.line | {"marker": style.marker, "markersize": 3.0}
@@ -136,8 +137,8 @@ def _name_best(
 ) -> None:
     """Print a curve's name, best mission duration and least quantity as a line in a panel.
 
-    `tried` has all durations of the sweep [s]. Unless the next shorter and next longer duration
-    both have finished cases, "(at an edge)" is added. `place` is style and line number.
+    `tried` has all durations of the sweep [s]. "(at an edge)" is added if the next shorter or next
+    longer one has no finished case. `place` has the curve's style and the number of the text line.
     """
     style, row = place
     best = best_along(curve, DURATION_FIELD, quantity.column, tried)
@@ -286,8 +287,9 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
 
-    The first bar is the range over all cases, with row numbers of cases at its ends. The other bars
-    have values of their field at their ends.
+    The first bar is the range over all cases, `spread`. Its ends are labelled with the numbers of
+    the cases that have the least and the greatest value. Each other bar is the range along one
+    field, from `found`. Its ends are labelled with the values of the field there.
     """
     height = _BAR_EDGES + _BAR_ROW * (1 + len(found))
     figure, axes = full_width(
@@ -331,7 +333,7 @@ def _draw_bar(
     """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
 
     `ends` are in the unit of the column, `base` in the printed unit or NaN if it is unknown. The
-    texts `reached` stand at the ends.
+    two texts `reached` label the ends.
     """
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)

@@ -1,8 +1,9 @@
-"""Design of a parameter sweep: the values of each axis, and the cases in row order.
+"""Design of a parameter sweep: the values of each axis, and the cases.
 
 An axis is a scenario field with the values that it takes. A dimension is one axis, or several axes
 whose values change together. Each step of a dimension gives every one of its fields one value. The
-cases are all combinations of steps; they form a grid.
+cases are all combinations of steps; they form a grid. In their order, the last dimension varies
+fastest.
 """
 
 import hashlib
@@ -215,8 +216,8 @@ class Dimension:
     def is_sound(self) -> bool:
         """Whether each step has one plain value for each field, and each field has one type.
 
-        Plain values are finite numbers, texts, booleans and lists of these. A dimension of a
-        damaged store may have others.
+        Plain values are finite numbers, texts, booleans and lists of these. The test finds damage
+        in dimensions that are read from a file.
         """
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]

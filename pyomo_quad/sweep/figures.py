@@ -192,7 +192,8 @@ class _Figures:
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
     """Return a text for a wind rose's caption: the value at the centre, and the worst direction.
 
-    The centre is the least value over all curves.
+    The value at the centre of the polar chart is the least over all curves. The worst direction is
+    that of the worst value over all curves (`Quantity.worst_row`).
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

@@ -1,7 +1,8 @@
 """Report of a parameter sweep: result tables, figures and the text from templates.
 
-A case is lost if its worker process died. The central case has the field values of the base
-scenario, or the middle values of the sweep.
+A case ends as finished, failed, or lost because its worker process died. The sensitivities vary
+single fields of the central case. The central case has the field values of the base scenario. If
+the sweep does not contain the base value of a field, the middle of the field's values replaces it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -98,8 +99,8 @@ def write_sweep_report(
 def _outcome(results: SweepResults) -> dict[str, Any]:
     """Return the variables of the report's template that need at least one finished case.
 
-    `best_durations` has the mission durations with the least value of the first output column that
-    the report draws. `best_of` is the label of this column.
+    `best_durations` has the best mission duration for each combination of the other fields. There,
+    the first output column of the report is least. `best_of` is its label.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -164,8 +165,8 @@ def _sensitivities(
 ) -> Iterator[dict[str, Any]]:
     """Yield the ranges of each quantity as scenario fields vary, for the report's template.
 
-    `spread` is the range over all cases. `found` has the ranges along each numeric field, the
-    others as in the central case. Quantities with fewer than two of the latter are left out.
+    The key `spread` is the range over all finished cases. The key `found` has the range along each
+    numeric field (`Sensitivity`). A quantity with fewer than two ranges in `found` is left out.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)

@@ -91,7 +91,9 @@ class Sweep:
         Base scenario of the design.
     store : ResultStore
         Result store, open for writing. Cases that finished or failed in an earlier run are not
-        solved again, unless they descend from a case that was lost because its worker died.
+        solved again, with one exception. If a worker died, its lost case is solved again. The
+        descendants of the lost case, which did not start from its solution, are then solved again
+        too.
     listener : SweepListener
         Object that receives each row after the row was stored.
     solver : str, optional

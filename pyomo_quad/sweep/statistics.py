@@ -2,7 +2,7 @@
 
 A quantity is an output column, such as the energy. A dimension is one scenario field, or several
 fields that change together. A curve holds the finished cases that differ along one dimension only.
-The values of a random field are drawn at random.
+A random field is a scenario field whose values in the sweep are drawn from a distribution.
 
 The central case has the field values of the base scenario. A field whose base value is not in the
 sweep has the middle of its values. Sensitivities and heat maps vary one or two dimensions, and keep
@@ -153,7 +153,8 @@ class SweepResults:
     Attributes
     ----------
     design : SweepDesign
-        Specification of the sweep, with lists as JSON texts, as in the table's cells.
+        Specification of the sweep. A field value that is a list is replaced by its JSON text, as in
+        `frame`: see `SweepDesign.in_cells`.
     frame : DataFrame
         Result table with one row for each case that ended, as the function `results_frame` reads it
         from the result store.
@@ -228,8 +229,8 @@ class SweepResults:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
         The class `Sensitivity` defines the ranges. A field with given values is left out if cases
-        finished at fewer than two of them. Random fields are left out if too few cases finished for
-        the linear fit.
+        finished at fewer than two of them. The range along a random field comes from a linear fit
+        to the cases. If too few cases finished for the fit, all random fields are left out.
         """
         rows = self.finished.dropna(subset=[quantity])
         found: list[Sensitivity] = []

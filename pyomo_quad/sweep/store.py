@@ -560,8 +560,8 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     -------
     DataFrame
         Columns: number of the case (from 0), the fields that vary, status, reason of a failure, and
-        output columns. These are the columns `outputs` and `report_on` of the sweep's design. If
-        `outputs` is empty, they are all output columns with values.
+        output columns. The attributes `outputs` and `report_on` of the sweep's design name the
+        output columns. If `outputs` is empty, all output columns with values are included.
 
     Examples
     --------

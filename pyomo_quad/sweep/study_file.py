@@ -2,7 +2,8 @@
 
 A study file (TOML) names a base scenario, the axes of the sweep, and the output columns to keep and
 report. An axis is a scenario field that the sweep varies, with the values that the field takes. The
-design adds the complete base scenario and the values of all axes, from which all cases follow.
+study file may give these values as a range or a distribution. The design made from it holds each
+single value of all axes and the complete base scenario.
 """
 
 from collections.abc import Iterator, Mapping
@@ -258,7 +259,8 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     ------
     StudyError
         If two axes set the same field, a value occurs twice, there are too many cases, or axes that
-        change together have different numbers of values. Also if the scenario has a user's model.
+        change together have different numbers of values. StudyError is also raised if the scenario
+        names the user's own Pyomo model (field `model`), which a sweep does not run.
     ScenarioError
         If an axis names an unknown field, or has a value that the field does not allow. Values with
         which the vehicle cannot hover are no error here: the case fails later.

@@ -78,7 +78,7 @@ _RANGES = {
 class Known:
     """Data that the owner of a vehicle knows, in SI units.
 
-    Arm, speed constant, battery and hover power are None if the owner does not know them.
+    `arm`, `voltage_constant`, `pack` and `hover_power` are None if the owner does not know them.
 
     Attributes
     ----------

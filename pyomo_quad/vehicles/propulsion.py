@@ -3,7 +3,7 @@
 Derivation, sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (1) to (4).
 
 symbol | name | unit | meaning
-D, p | diameter, pitch | m | as printed on the propeller, "10x4.5" in inches
+D, p | diameter, pitch | m | nominal; a label such as "10x4.5" on the propeller gives them in inches
 C_T | coefficient | - | thrust = C_T rho n^2 D^4, with air density rho and n revolutions per second
 sigma | _SOLIDITY | - | blade area divided by disc area
 c_d | _DRAG_AT | - | mean drag coefficient of the blade, at the Reynolds number _REYNOLDS_AT

@@ -47,8 +47,9 @@ class BernsteinRule:
     coefficients : ndarray, shape (n_coefficients, n_values)
         Matrix from the values to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
-        Matrix from the values to the polynomial's values at k / (n_values - 1), the abscissa of
-        coefficient k. Here k counts all coefficients from 0, also those that are left out.
+        Matrix from the values to the polynomial's values at the abscissae of the coefficients. They
+        are compared with the coefficients. A coefficient that is left out has no row. The abscissae
+        are k / (n_values - 1), where k counts all coefficients from 0.
     """
 
     coefficients: FloatArray
@@ -121,8 +122,8 @@ class BernsteinRows:
     def scales(self, own: Scaling) -> FloatArray:
         """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        Each factor is 1 / largest absolute derivative of the constraint. Derivatives are taken with
-        respect to the unknowns scaled by `own`.
+        `own` is the scaling of the program to which the bounds are added. Each factor is 1 /
+        largest absolute derivative of the constraint with respect to the scaled unknowns.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
@@ -145,13 +146,15 @@ class BernsteinRows:
 
 @dataclass(frozen=True, kw_only=True)
 class Restraint:
-    """Increase of the objective that the bounds between the collocation points cause.
+    """Increase of the objective because bounds on Bernstein coefficients are too strict.
+
+    The increase is relative to a program that bounds the polynomials' values instead.
 
     Attributes
     ----------
     cost : ndarray, shape (n_elements,)
         First-order estimate of the increase by the bounds in each element, in the unit of the
-        objective. Bounds on Bernstein coefficients are stricter than bounds on the polynomials.
+        objective.
     gap : float
         Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
         objective: the sum of multipliers times slacks over all inequalities.
@@ -196,7 +199,8 @@ def bounded(
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
     """Return the lower and the upper bound of one variable in one element.
 
-    A bound that differs between the unknowns at `columns` is infinite in the result.
+    `columns` are the positions of the variable's unknowns in the program. A bound that is not the
+    same for all these unknowns is infinite in the result.
     """
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (

@@ -8,7 +8,8 @@ Some arguments have the same meaning in several functions:
 - `z`: values of the program's unknowns, usually those of the initial point.
 - `start_data`: values of all parameters, one row per time. The times are the start of the horizon,
   and just after each jump of a parameter (`Formulation.data_at_starts`).
-- `fixed`: values of variables that are fixed at declared times, by (name, fraction of the horizon).
+- `fixed`: values of variables that are fixed at declared times (members of the continuous set), by
+  (name, fraction of the horizon).
 
 Free times are static variables (without time) for times of the horizon: the start, the end or
 times in between. The solve determines them. Each must lie after the time before it.
@@ -319,8 +320,8 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, for the scaling of its unknowns.
 
-    `columns` are their positions in `z`. If the model has a scaling factor, the magnitude is its
-    inverse. Otherwise, it is the largest absolute value in `z` and bounds below 1e6, or 1.
+    The magnitude is 1 / declared scaling factor. Without one, it is the largest absolute
+    value of unknowns, and of bounds below 1e6; 1 if all are 0. `columns` are positions in `z`.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -357,11 +358,11 @@ def refuse_overdetermined(
 ) -> None:
     """Raise TranscriptionError if a program's equations are linear and contradict each other.
 
-    The check is made only if the program has more equations than free unknowns. It linearises the
-    equations at `z`. The message lists `fixed`, which are here the names of variables with fixed
-    values.
+    The check is made only if the program has more equations than free unknowns. The equations are
+    linearised at `z`, to find out whether they are linear and have a solution. Nonlinear equations
+    raise no error. `fixed` are the names of variables with fixed values, for the message.
     """
-    # Nonlinear equations are accepted: only a solve can decide whether they have a solution.
+    # Only a solve can decide whether nonlinear equations have a solution.
     if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
         names = sorted(set(fixed))
         raise TranscriptionError(

@@ -3,9 +3,11 @@
 The functions are compiled once per model, independently of the mesh. CasADi's method `map`
 evaluates them at all collocation points.
 
-Static variables are variables without time. A static variable replaces each integral that enters a
-condition, a nonlinear term of the objective, or the coupling of several horizons. An added
-constraint makes it equal to the integral. All other integrals enter only the objective, linearly.
+Static variables are variables without time. A condition is a constraint among values at declared
+times (members of the continuous set), static variables and integrals. A static variable replaces
+each integral that enters a condition, a nonlinear term of the objective, or the coupling of several
+horizons. An added constraint makes it equal to the integral. All other integrals enter only the
+objective, linearly.
 """
 
 from __future__ import annotations
@@ -88,7 +90,8 @@ class MappedFunction:
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
         """Evaluate the function at all points; inputs and outputs have one row per point.
 
-        Each of the first `n_shared` inputs has the shape (n_columns,).
+        Only the first `n_shared` inputs, which are the same at all points, have no such rows. Each
+        of them has the shape of the function's input, (size,).
         """
         outputs = [np.zeros(shape) for shape in self._shapes]
         held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
@@ -213,9 +216,11 @@ class SimpleBound:
     variable : str
         Name of the bounded variable's symbol.
     slope : float
-        Coefficient a; 1 for bounds declared with the variable.
+        Coefficient a, to convert multipliers of bounds to duals of constraints. It is 1 for bounds
+        declared with the variable.
     lower, upper : casadi.SX
-        Expressions of the parameters and, for a bound over time, the fraction of the horizon.
+        Bounds of the variable x itself, already divided by a. They are expressions of the
+        parameters and, for a bound over time, of the fraction of the horizon.
     """
 
     name: str
@@ -339,8 +344,7 @@ class TableArguments:
 class CompiledModel:
     """Model as CasADi functions: equations at one collocation point, conditions and objective.
 
-    A condition is a constraint among values at declared times (members of the continuous set),
-    static variables and integrals. The data of a point are the fraction of the horizon, the
+    The data of a point are the fraction of the horizon, the
     time-dependent and the constant parameters. Functions for bounds have two outputs: the lower and
     the upper bounds.
 
@@ -361,7 +365,8 @@ class CompiledModel:
     limits_over_time : casadi.Function
         Data -> bounds in `limits`.
     simple_point_bounds : tuple of SimpleBound
-        Conditions on a single state at a declared time, or on a single static variable.
+        Bounds from conditions on a single state at a declared time, or on a single static variable.
+        Neither `points` nor `condition_limits` contains these conditions.
     simple_point_limits : casadi.Function
         Parameters -> bounds in `simple_point_bounds`.
     condition_limits, static_limits : casadi.Function
@@ -374,7 +379,8 @@ class CompiledModel:
         Symbols of variables and data of a point.
     tables : TableArguments
     static_of_integral : dict
-        Position of any other integral -> position of the static variable that replaces it.
+        Position of an integral that is not in `row_integrals` -> position of the static variable
+        that replaces it.
     """
 
     declared: Declarations
@@ -457,9 +463,10 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    Bounds that depend on static variables become constraints. Other inequalities and conditions
-    that are linear in a single variable become bounds. Integrals in conditions or in nonlinear
-    terms of the objective become static variables.
+    Bounds over time that depend on static variables become constraints. A linear inequality over
+    time on a single state or algebraic variable becomes a bound. So does a linear condition on a
+    single static variable, or on a single state at a declared time. Integrals in conditions or in
+    nonlinear terms of the objective become static variables.
     """
     # Output states stay in the nonlinear program if the objective is constant.
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
@@ -724,9 +731,9 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of the unknowns on which a condition can act as a bound.
+    """Return the names of the unknowns for which a condition on a single unknown becomes a bound.
 
-    These are states at declared times, and static variables (variables without time).
+    They are the values of states at declared times, and the static variables.
     """
     states = {s.name for s in declared.states}
     at_points = {

@@ -5,7 +5,8 @@ other constraints form the coupling. They contain static variables (without time
 horizon's integrals and of its values at declared times (members of the set):
 
 - A value of a state and its static variable are one unknown of the joint program.
-- For any other value or an integral, the horizon's program makes both equal by a constraint.
+- A value of an algebraic variable or of a derivative, and an integral, differ from their static
+  variable as unknowns. A constraint in the horizon's program makes them equal.
 
 An integral that enters only the objective, with a number as coefficient, has no static variable. It
 moves into the objective of its horizon.
@@ -107,8 +108,8 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        Write all constraints before the objective. Constraints must not contain values at interior
-        times of a horizon; after this call, such values are no longer refused.
+        Write all constraints before the objective. Only the objective may contain values at times
+        inside a horizon. After this call, the writer therefore accepts values at these times.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
@@ -154,8 +155,8 @@ class CouplingWriter(TemplateWriter):
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
         """Raise an error for a value that must not appear in the coupling of several horizons.
 
-        A time-dependent parameter at a single time must not appear at all. A variable's value at an
-        interior time must not appear in a constraint.
+        `data` is a parameter or variable at one time of the reader's horizon. A parameter is
+        refused. A variable at a time inside the horizon is refused in constraints.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -198,7 +199,8 @@ class CoupledDeclarations:
     states : dict
         Static variable that equals a state -> (name of the horizon, state with its time).
     links : tuple of str
-        Static variables that equal other values, by constraints of the same names.
+        Names of the static variables that equal values of algebraic variables or derivatives. The
+        constraint that makes them equal has the same name.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -300,9 +302,10 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return the static variables of those integrals whose symbols have names in `names`.
+    """Return static variables that replace integrals over the horizon of `reader`.
 
-    Only integrals over the horizon of `reader` are returned.
+    `names` are the names of all symbols in the coupling. Only integrals whose symbol is among them
+    are replaced.
     """
     return [
         integral.slot
@@ -473,7 +476,8 @@ class CoupledProgram:
     union : Union
         Positions of each program's unknowns and constraints in the joint program.
     programs : tuple of NonlinearProgram
-        Programs of the horizons and of the coupling, possibly with a penalty added to an objective.
+        Programs of the horizons, then of the coupling. In a solve with damping, the objective of a
+        horizon's program includes the penalty of its `Damping`.
     """
 
     union: Union

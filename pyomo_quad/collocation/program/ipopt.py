@@ -1,6 +1,7 @@
 """Ipopt through cyipopt: settings, callbacks, progress, and the best iterate of a failed solve.
 
-Ipopt's barrier leaves a complementarity gap at the solution: see `barrier_gap` and
+Ipopt's barrier function leaves an error in the objective, the complementarity gap. `barrier_gap`
+computes it, and `run_past_the_barrier` repeats a solve whose gap is too large. See
 docs/theory/refinement.md, eq. (16).
 """
 
@@ -126,8 +127,8 @@ class SolverOptions:
     Attributes
     ----------
     tolerance : float, optional
-        Ipopt's option `tol`, for the scaled problem. With mesh refinement, `suiting` gives the
-        default; without, it is 1e-9.
+        Ipopt's option `tol`, for the scaled problem. With mesh refinement, the method `suiting`
+        derives the default from the tolerance of the refinement. Otherwise, the default is 1e-9.
     max_iterations : int
         Limit of iterations on each mesh.
     max_wall_s : float, optional
@@ -252,8 +253,9 @@ class SolverOptions:
     def for_other_limits(self) -> SolverOptions:
         """Return the settings for a warm start from the solution of a problem with other limits.
 
-        The start may violate limits of the new problem. Ipopt moves it well inside the new limits.
-        The initial barrier parameter is 1e-5, instead of 1e-7 by default.
+        The start may violate limits of the new problem. Ipopt moves it about 1e-4 inside the new
+        limits, and begins with the barrier parameter 1e-5. The defaults of this package for a warm
+        start are 1e-9 and 1e-7.
         """
         # With these settings, Ipopt needs fewer iterations to leave the limits that were active
         # before.
@@ -285,8 +287,9 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs little from the one before.
 
-        The settings move the start, which is the solution on the previous mesh, inside its bounds.
-        The initial barrier parameter is 1e-10, instead of 1e-7 by default.
+        The start is the solution on the previous mesh. Ipopt moves it about 1e-4 inside the bounds,
+        and begins with the barrier parameter 1e-10. The defaults of this package for a warm start
+        are 1e-9 and 1e-7.
         """
         # With a larger parameter, controls that hardly affect the objective would drift away from
         # their values on the previous mesh. The parameter was tested on a flight of 1 km against
@@ -304,9 +307,9 @@ class Iteration:
     iteration : int
         Number of the iteration, from 0 in each solve.
     objective : float
-        Objective of the nonlinear program, not negated if the Pyomo model maximises it. Added costs
-        are included: penalties of slacks, and a quadratic cost that keeps controls near given
-        values.
+        Value of the Pyomo model's objective, in its own sign even if the model maximises it. It
+        includes added costs: penalties of slacks, and a quadratic cost that keeps controls near
+        given values.
     infeasibility, dual_infeasibility : float
         Largest violation of the scaled constraints, and of the scaled stationarity conditions
         (gradient of the Lagrangian equal to zero).
@@ -392,9 +395,9 @@ class IpoptResult:
     message : str
         Ipopt's return code and message.
     z : ndarray, shape (n_unknowns,)
-        The solution. After a failed or interrupted solve, a recorded iterate, whose constraint
-        violation is less than ten times the least of all iterates. If the iterates diverged, the
-        last iterate.
+        The solution. After a failed or interrupted solve, the best iterate. An iterate replaces the
+        best one so far if it has at most a tenth of its constraint violation. If the iterates
+        diverged, the last iterate.
     multipliers : Multipliers
         Multipliers at the last iterate, for the unscaled program.
     iterations : int
@@ -684,10 +687,12 @@ def run(
 def _with_idle_unknowns(
     program: NonlinearProgram, own: int, idle: int, weight: float
 ) -> ExtendedProgram:
-    """Return a program with `idle` unknowns added to its `own` ones, so that it is not square.
+    """Return a program with `idle` unknowns added to the `own` unknowns of `program`.
 
-    Each added unknown occurs only as a square in the objective, so the optimum is unchanged.
+    Each added unknown s appears only in the objective, as ``weight / 2 * s**2``. The optimum is
+    therefore unchanged.
     """
+    # With the added unknowns, the program has more unknowns than equations.
     # If a program has as many equations as free unknowns, Ipopt ignores the objective, and stops at
     # the first point that satisfies the equations. With more equations, it refuses the program.
     # Neither is right if some equations are redundant, such as an end condition on a conserved
@@ -733,9 +738,13 @@ def run_past_the_barrier(
     """Solve a program by Ipopt, and repeat the solve until `barrier_gap` is negligible.
 
     At most two repetitions continue from the last solution, with a larger scaling factor of the
-    objective. The gap is negligible up to ``1e3 * size(z)`` times Ipopt's tolerance. `size` returns
-    the objective's magnitude, which must reach 1e-6 after scaling. If a repetition fails, the
-    previous result is returned.
+    objective. `size` maps the unknowns to the magnitude of the objective. The solve is repeated in
+    two cases:
+
+    - The gap exceeds ``1e3 * size(z)`` times Ipopt's tolerance.
+    - ``size(z)`` times the scaling factor of the objective is less than 1e-6.
+
+    If a repetition fails, the previous result is returned.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)

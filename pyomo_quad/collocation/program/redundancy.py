@@ -64,9 +64,10 @@ class Candidate:
 def _candidates(
     program: Transcription, bounds: Bounds, fixed: dict[tuple[str, float], float]
 ) -> Iterator[Candidate]:
-    """Yield the equality conditions that may be redundant, without fixed initial states.
+    """Yield the equality conditions that may be redundant: all except fixed initial states.
 
-    `fixed` maps (variable name, fraction of the horizon) to fixed values.
+    `bounds` are those of `program` with every condition imposed. `fixed` maps (variable name,
+    fraction of the horizon) to fixed values.
     """
     # The order is the same on every mesh.
     conditions = program.compiled.declared.conditions
@@ -97,9 +98,10 @@ def redundant_conditions(
 ) -> tuple[Candidate, ...]:
     """Return each condition that is redundant at the unknowns `z`.
 
-    Its scaled gradient is a linear combination of the gradients of the path equations and of the
-    independent conditions before it. `bounds` impose all conditions. `fixed` maps (variable name,
-    fraction of the horizon) to the fixed value.
+    The scaled gradient of a redundant condition is, up to 1e-4 of its norm, a linear combination of
+    other gradients. These are the gradients of the path equations (equalities over time) and of
+    the preceding conditions that are not redundant. `bounds` are those of `program` with every
+    condition imposed. `fixed` maps (variable name, fraction of the horizon) to the fixed value.
     """
     candidates = list(_candidates(program, bounds, fixed))
     if not candidates:
@@ -179,8 +181,9 @@ def misses(
 ) -> list[float]:
     """Return by how much the solution `z` violates each condition that was left out of its solve.
 
-    A violation is the absolute residual of the condition times its scaling factor. The order is
-    that of `redundant_conditions`. `bounds` and `fixed` include the conditions that were left out.
+    A violation is the absolute residual of the condition times its scaling factor. `left_out` is a
+    result of `redundant_conditions`, and the violations are in the same order. `bounds` and `fixed`
+    include the conditions that were left out.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

@@ -3,9 +3,9 @@
 CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
 than once. The function `casadi.cse` merges them, and leaves every result the same to the last bit.
 It would, however, write out the whole table of each interpolation: a second for a million numbers.
-Symbols therefore replace the results of tables while terms are merged. Differentiation treats the
-symbols as constants. They are Taylor coefficients of a spline about rounded arguments, which count
-as constants, too: see `collocation.reading.local_splines`.
+Symbols therefore replace the results of tables while terms are merged. Differentiation treats these
+symbols as constants. This is correct, because the derivatives of the results are defined as zero:
+see `collocation.reading.local_splines`.
 """
 
 from __future__ import annotations

@@ -164,17 +164,19 @@ class Layout:
     def condition_variables(self) -> csr_matrix:
         """Matrix that maps the unknowns to the variables of conditions and objective.
 
-        The rows are those of `point_values`, then one per static variable (without time).
+        Conditions are constraints at single times or without time. The rows are the variables'
+        values at these times, as in `point_values`, then one per static variable (without time).
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
 
     @cached_property
     def point_values(self) -> csr_matrix:
-        """Matrix from the unknowns to the values at declared times in conditions and objective.
+        """Matrix that maps the unknowns to values of variables or rates at single times.
 
-        There is one row for each item of `Declarations.point_symbols`. Declared times are the
-        members of the continuous set.
+        It has one row for each item of `Declarations.point_symbols`: a value that a condition
+        (constraint not over time) or the objective contains. The times are members of the
+        continuous set.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -334,7 +336,9 @@ class JacobianScatter:
     """Assembly of the constraints' Jacobian and objective's gradient from derivatives at points.
 
     A direct integral appears in the objective itself. Static variables (without time) stand for all
-    other integrals. For the inputs (sources) of the maps, see `jacobian_scatter`.
+    other integrals. The inputs (sources) of the maps are derivatives of path equations (constraints
+    over time) and integrands. Then follow those of conditions (constraints not over time) and
+    objective: see `jacobian_scatter`.
 
     Attributes
     ----------
@@ -345,8 +349,8 @@ class JacobianScatter:
     integrals : tuple of Scatter
         Map to each direct integral's gradient.
     slope_sources : ndarray of int
-        Positions of the objective's derivatives by direct integrals, among the sources of
-        conditions and objective.
+        Positions, among the sources of conditions and objective, of the objective's derivatives by
+        direct integrals.
     slope_integrals : ndarray of int
         For each of these derivatives, the number of the direct integral, from 0.
     n_integrals : int

@@ -143,11 +143,12 @@ class Transcription:
     The variables of a point are rates (derivatives of the states by the fraction of the horizon),
     states, algebraic and static variables. The constraints ("rows") are:
 
-    - path equations (equalities and inequalities over time), point by point;
-    - conditions (constraints without time, or at members of the continuous set);
+    - path equations (equalities and inequalities over time), at each collocation point in turn;
+    - conditions (constraints without time, or at single members of the continuous set);
     - constraints that make static variables equal to integrals.
 
-    A direct integral has no static variable; it appears in the objective itself.
+    Some integrals, the direct integrals, have no static variable. They appear in the objective
+    itself.
 
     Parameters
     ----------
@@ -251,8 +252,8 @@ class Transcription:
         """Return the physical time at a fraction of the horizon, for messages.
 
         The time is interpolated linearly between start and end of the horizon. It is therefore
-        approximate if the solve also determines times inside the horizon. If `horizon` is None, the
-        result is `fraction` itself.
+        approximate if the solve also determines times inside the horizon. The result is `fraction`
+        itself for a model without time, or if a static variable gives start or end.
         """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
@@ -370,7 +371,8 @@ class Transcription:
         """Return the numbers from which Jacobian and gradient are assembled, cached for `z`.
 
         They are Jacobian nonzeros of path equations and integrands, then of conditions and
-        objective. The number 1 follows: see `jacobian_scatter`.
+        objective. The last number is 1, the derivative of ``variable - integral = 0`` by the
+        variable.
         """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
@@ -426,10 +428,11 @@ class Transcription:
     ) -> FloatArray:
         """Return the factors of path equations, then integrands, in the Lagrangian at each point.
 
-        A path equation has its multiplier, an integrand the quadrature weight times its weight from
-        `integral_weights`. `multipliers` are those of all constraints. `factor` multiplies the
-        Pyomo model's objective; None means 1, or -1 if it is maximised. The shape is (n_points,
-        n_equations + n_integrals).
+        The factor of a path equation is its multiplier. The factor of an integrand is the point's
+        quadrature weight times the weight of the integral in the Lagrangian, which
+        `integral_weights` computes at the unknowns `z`. `multipliers` are those of all constraints.
+        `factor` multiplies the Pyomo model's objective; None means 1, or -1 if it is maximised. The
+        shape is (n_points, n_equations + n_integrals).
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -469,9 +472,10 @@ class Transcription:
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Lagrangian's Hessian by the variables of each point.
 
-        The Lagrangian at a point is the sum of path equations and integrands times their
-        `path_weights`, divided by the quadrature weight. `z` are the unknowns, and `multipliers`
-        those of all constraints. The shape is (n_points, n_variables, n_variables).
+        The Lagrangian at a point is the sum of path equations and integrands, each times its factor
+        from `path_weights`. The sum is divided by the point's quadrature weight.
+        `z` are the unknowns, and `multipliers` those of all constraints. The shape is (n_points,
+        n_variables, n_variables).
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -529,7 +533,7 @@ class Linearised:
     Attributes
     ----------
     rows : ndarray of int, shape (n_rows,)
-        Positions of the differential equations among the path equations.
+        Positions of the differential equations among the path equations (constraints over time).
     by_rate, by_state : ndarray, shape (n_points, n_rows, n_states)
         Derivatives of these equations with respect to the rates and to the states.
     """

@@ -1,9 +1,9 @@
 """Declared times of a horizon, the free times among them, and the phases between free times.
 
-A declared time is a member of the model's continuous set, and usually a physical time. For a free
-time, a static variable (variable without time) is the physical time. Free times inside the horizon
-divide it into phases. The fraction of the horizon is 0 at the first and 1 at the last declared
-time. In each phase, physical time is a linear function of this fraction.
+A declared time is a member of the model's continuous set, and usually a physical time. A free time
+is a declared time whose physical time is a static variable (variable without time). Free times
+inside the horizon divide it into phases. The fraction of the horizon is 0 at the first and 1 at the
+last declared time. In each phase, physical time is a linear function of this fraction.
 """
 
 from __future__ import annotations
@@ -232,8 +232,8 @@ def _declared(time: Any, at: Any) -> float:
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
     """Raise an error if a variable cannot serve as the physical time of a declared time.
 
-    None of the `sets` may index it, and it may serve for one declared time only. `given` maps
-    declared times of the set `time` to variables.
+    `sets` has all continuous sets of the model. `given` maps declared times of `time` to variables.
+    A variable is unusable if a set indexes it or `given` repeats it.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

@@ -112,8 +112,11 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    Among several, those that index no variable are left out, and those in a deactivated block that
-    no active constraint or objective uses.
+    If there are several, the result leaves out
+
+    - a set that indexes no variable;
+    - a set in a deactivated block, unless an active constraint or objective contains a variable
+      that the set indexes.
 
     Raises
     ------
@@ -265,8 +268,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Raises
     ------
     TranscriptionError
-        If a declaration is unsupported, a rule fails at the template time, or a member differs from
-        its rule.
+        If a declaration is unsupported, or a rule fails. It is also raised if a constraint or named
+        expression over time differs from what its rule returns.
     """
     copy = model.clone()
     transfer_rules(model, copy)

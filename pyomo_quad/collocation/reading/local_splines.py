@@ -4,11 +4,12 @@ In each cell of its grid, a spline of x, y, ... is the sum of the terms
 
     c[i, j, ...] * f_i(x) * g_j(y) * ... ,
 
-where each index runs from 0 to the degree. The factors are powers of a coordinate in the cell, or
-B-spline basis functions. A CasADi function looks up the coefficients c, and returns value, gradient
-and Hessian. Its arguments are rounded to 2**-38 of a grid step, and count as constants. The
-spline's expression is the Taylor polynomial of degree two about the rounded arguments: see
-docs/theory/transcription.md, "Interpolation tables".
+where each index runs from 0 to the degree. Along the first axes, the factors are powers of a
+coordinate in the cell. Along the others, they are B-spline basis functions, for which the
+coefficients need less memory. A CasADi function looks up the coefficients c, and returns value,
+gradient and Hessian. Its arguments are rounded to 2**-38 of a grid step. In differentiation, the
+rounded arguments count as constants. The spline's expression is the Taylor polynomial of degree two
+about them: see docs/theory/transcription.md, "Interpolation tables".
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ CALLED = "local"
 class LocalSpline:
     """Tensor-product B-spline in a form whose evaluation cost does not depend on the grid's size.
 
-    The spline is linear in the first and last interval of each axis.
+    The first and the last grid interval of each axis serve for extrapolation: the spline is linear
+    in them.
 
     Attributes
     ----------
@@ -69,8 +71,9 @@ class LocalSpline:
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
         """Return a B-spline in the form of a `LocalSpline`.
 
-        It must be linear in the first and the last interval of each axis, as is that of
-        `Spline.through`. The coefficients have one array axis per argument.
+        The given B-spline is linear in the first and the last interval of each axis. The method
+        `reading.tables.Spline.through` returns such splines. The coefficients have one array axis
+        per argument.
         """
         place: Any = casadi.MX.sym("place", len(knots))
         found = _jet(place, knots, coefficients, degree)
@@ -172,10 +175,10 @@ _Parts = dict[tuple[int, ...], Any]
 
 
 def _weights(count: int, cells: int, degree: int) -> Any:
-    """Return a CasADi function for the factors of a spline in a grid cell, with their derivatives.
+    """Return a CasADi function for a spline's factors in a grid cell.
 
-    It returns a matrix per axis; each row has value and two derivatives of a factor. The first
-    `cells` of `count` axes have powers, the others basis functions.
+    It maps a point and the cell's data to a matrix for each of `count` axes. A row has value and
+    two derivatives of a factor. The first `cells` axes have powers.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)
@@ -193,8 +196,8 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
     """Sum the terms of a spline's value and derivatives along `axes`.
 
-    `parts` has the sums along all later axes, so that `axes` are the last ones left, in rising
-    order. ``weights[axis]`` has one row per factor: value, first and second derivative.
+    `axes` are consecutive, in rising order. `parts` has the sums along all axes after them.
+    ``weights[axis]`` has one row per factor: value, first and second derivative.
     """
     # Multiply by the factors of an axis, and sum over its index.
     # For a derivative along an axis, the derivative of the factor replaces the factor.
@@ -215,10 +218,10 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 
 
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
-    """Return a CasADi function that sums over the first two axes (or the only one) of `count` axes.
+    """Return a CasADi function that sums a spline's terms along at most the first two axes.
 
-    Inputs are sums along the other axes, whose derivative orders are in `given`, and factors. The
-    result is one column: value, gradient, upper triangle of the Hessian.
+    It maps sums along the other ones of `count` axes, and matrices from `_weights`, to value,
+    gradient and upper triangle of the Hessian. `given` has the sums' derivative orders.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left
@@ -233,10 +236,10 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
 
 
 def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
-    """Return powers of ``(at - anchor) * per_width``, a coordinate in a grid cell.
+    """Return the powers of ``(at - anchor) * per_width``, with their derivatives by `at`.
 
-    The cell has the origin `anchor` and the width ``1 / per_width``. The matrix has one row per
-    power from 0 to `degree`: value, first and second derivative by `at`.
+    The grid cell has the origin `anchor` and the width ``1 / per_width``. Each row has value, first
+    and second derivative of a power, from 0 to `degree`.
     """
     share = (at - anchor) * per_width
     powers = [casadi.SX(1), *(share**k for k in range(1, degree + 1))]
@@ -281,8 +284,8 @@ class _Pieces:
     def of(cls, knots: FloatArray, degree: int) -> Self:
         """Return the polynomial pieces of the B-spline basis with given knots, in each cell.
 
-        In the first and the last cell, tangents replace the pieces. They touch the pieces of the
-        neighbouring cell at the common grid point.
+        The first and the last cell serve for linear extrapolation. Their pieces are tangents of the
+        neighbouring cell's pieces at the common grid point.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 

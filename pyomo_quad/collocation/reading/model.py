@@ -1,7 +1,7 @@
 """Reading of a Pyomo.DAE model: equations over time, conditions, integrals and objective.
 
-A condition is a constraint at declared times (members of the continuous set) or without time.
-Dictionaries `instances` contain members of one constraint that differ in time only, by their time.
+A condition is a constraint at declared times (members of the continuous set) or without time. An
+argument `instances` maps times to members of one constraint whose indices differ only in the time.
 """
 
 from __future__ import annotations
@@ -64,8 +64,9 @@ class RelationReader:
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
         """Return the equations over time, and the conditions (constraints not imposed over time).
 
-        Bounds of time derivatives are the last equations. Constraints of other horizons are left
-        out.
+        Bounds of time derivatives are appended to the equations, as inequalities. If the model has
+        several horizons (continuous sets), only constraints of the attribute `copy` are read
+        (`WorkingCopy.takes`).
 
         Raises
         ------
@@ -139,10 +140,10 @@ class RelationReader:
             )
 
     def _refuse_listed(self, component: Any) -> None:
-        """Raise an error for a ConstraintList that has the same constraint at each declared time.
+        """Raise an error for a ConstraintList that repeats one constraint at each declared time.
 
-        It is probably meant for all times. A list with a state is accepted, since states may have
-        values at single times. So is one with a variable without time.
+        The user probably means all times, but a list has no rule for the times between. Lists with
+        states or variables without time are accepted as conditions at single times.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -193,10 +194,10 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return a constraint's members at start and end that its equation does not impose.
+        """Return a constraint's members at start and end that `equation` does not impose.
 
-        The equation is imposed at the end, but not at the start. At the end, a member that differs
-        is returned; at the start, a member without rates or algebraic variables.
+        At the end, a member that differs from `equation` is returned. At the start, a member with
+        states, but no rates or algebraic variables, is returned unless fixed values satisfy it.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -249,7 +250,8 @@ class RelationReader:
     def _is_member_alike(self, a: Any, b: Any) -> bool:
         """Return whether two variables or parameters are identical except for their times.
 
-        They must belong to the same Pyomo component, with equal indices without time.
+        The result is True if both belong to one Pyomo component, and their indices differ at most
+        in the time.
         """
         if a is b:
             return True
@@ -306,11 +308,13 @@ class RelationReader:
         return all(same_expression(moved[k], moved[k + 3]) for k in range(3))
 
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
-        """Return the fixed states as (name, fraction of the horizon), and append to `conditions`.
+        """Return which states are fixed at which times, and append other restrictions.
 
-        Appended are other fixed values, and bounds assigned at single declared times. If a variable
-        is fixed without a value, a TranscriptionError is raised.
+        The result has (state name, fraction of the horizon). Fixed values of other variables, and
+        bounds assigned at single declared times, are appended to `conditions`. If a variable is
+        fixed without a value, a TranscriptionError is raised.
         """
+        # The values of fixed states are read at each solve.
         fixed = []
         table = self.symbols
         for slot in (*table.states.values(), *table.algebraics.values(), *self._rates()):
@@ -367,7 +371,8 @@ class RelationReader:
     def _fixing_condition(self, data: Any) -> PointCondition:
         """Return the constraint that a variable equals its fixed value at one time.
 
-        The fixed value is a parameter in the constraint.
+        `data` is the variable's member at that time. Its fixed value is a parameter in the
+        constraint.
         """
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -386,10 +391,11 @@ def _is_met_as_fixed(data: Any) -> bool:
 def read_declarations(
     model: Any, final_time: Any = None, times: FreeTimes | None = None
 ) -> tuple[Declarations, ModelReader]:
-    """Return a model with at most one horizon in CasADi symbols, and the reader that made it.
+    """Translate a Pyomo model to CasADi symbols; return its declarations and their reader.
 
-    `final_time` and `times` are explained in `free_times`. The reader can write further expressions
-    in the same symbols.
+    `model` has at most one horizon (continuous set that is not discretised). The docstring of
+    `free_times` explains `final_time` and `times`. The reader can write further expressions in the
+    same symbols.
 
     Raises
     ------
@@ -444,10 +450,11 @@ class ModelReader:
         self._require_variables()
 
     def declarations(self, cost: Any, objective: Any) -> Declarations:
-        """Return the model in CasADi symbols, with the objective's expression `cost`.
+        """Return the model in CasADi symbols, with `cost` as the objective to optimise.
 
-        Call it once: it appends to `conditions` the fixed values, bounds at single times, and
-        positive durations of phases. `objective` is the Pyomo objective, or None.
+        `cost` is a CasADi expression, 0 without an objective. `objective` is the Pyomo objective,
+        which gives sense and name, or None. Call the method once: it appends to `conditions` the
+        fixed values, bounds at single times, and positive durations of phases.
         """
         conditions = self.conditions
         fixed = self._relations.values_at_points(conditions)
@@ -486,7 +493,7 @@ class ModelReader:
         )
 
     def _read_expressions(self) -> None:
-        """Translate each named expression over time, so that its parameters are compiled."""
+        """Translate named expressions over time, to add their parameters to the declarations."""
         # A solution can then evaluate also those expressions that no equation contains.
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
@@ -541,9 +548,9 @@ class ModelReader:
     ) -> frozenset[str]:
         """Return the names of variables that equations without time derivatives determine.
 
-        Candidates are `states`, whose rates no equation contains, and derivatives in space. Each
-        equation determines at most one of them. `read` has the names of the symbols of each
-        equality over time.
+        The variables are `states`, whose rates no equation contains, and derivatives by a
+        discretised coordinate. Each equation determines at most one of them. `read` has the symbol
+        names of each equality over time.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]

@@ -2,8 +2,8 @@
 
 A compiled problem reads these values when it is solved: usually from the user's Pyomo model, and in
 a pickled problem from a copy of the model's values at pickling. A `Slot` names a scalar variable or
-parameter by its Pyomo component and its index without time. Declared times are the members of the
-continuous set.
+parameter by its Pyomo component and its index without time. For a variable over time, the model has
+values at the declared times, the members of the continuous set.
 """
 
 from __future__ import annotations
@@ -166,10 +166,12 @@ class LiveModel:
     def parameter(self, slot: Slot) -> float | None:
         """Return the value of a parameter without time, or of a fixed variable; None if unset.
 
+        For a variable over time that is fixed at all declared times, the result is its only value.
+
         Raises
         ------
         TranscriptionError
-            If a variable over time is fixed to different values at the declared times.
+            If a variable over time is fixed at all declared times, but to different values.
         """
         component = self.model.find_component(slot.component)
         member = self._member(component, slot)
@@ -386,8 +388,9 @@ class LiveModel:
     ) -> Interpolant:
         """Return a parameter over time as an `Interpolant` over `horizon`, for pickling.
 
-        Jumps are searched between neighbouring times of `asked`, which rise. If the approximation
-        fails, the interpolant has no pieces, and its `refusal` says why.
+        `slot` identifies the parameter. Jumps are searched between neighbouring times of `asked`,
+        which are in rising order. If the approximation fails, the result has no pieces, and its
+        `refusal` says why.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -403,8 +406,9 @@ def _as_interpolant(
 ) -> Interpolant:
     """Return a function of time as an `Interpolant` over `horizon`, for pickling.
 
-    `slot` names it in messages. Its jumps are searched between neighbouring times of `asked`, which
-    rise. If the approximation fails, the interpolant has no pieces, and its `refusal` says why.
+    `slot` names the function in messages. Jumps are searched between neighbouring times of `asked`,
+    which are in rising order. If the approximation fails, the result has no pieces, and its
+    `refusal` says why.
     """
     try:
         edges = list(jumps(partial(as_reading, function), asked))
@@ -432,7 +436,9 @@ class ModelSnapshot:
     signals, guesses : dict
         Parameters over time, and `initialize` rules, by name.
     schedules : tuple of Interpolant
-        Data over time of each `Schedule` or `Phases` object, as its method `row` returned them.
+        Data over time of rules that branch on time (`schedules.Schedule`), and of the horizon's
+        phases (`schedules.Phases`). Each item has the values that the method `row` of such an
+        object returned.
     """
 
     times: tuple[float, ...]
@@ -497,6 +503,7 @@ class ModelSnapshot:
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
     """Return the value of the function `signal` at a time as a `Reading`, for `schedules.jumps`.
 
-    The value is its only number. The function `jumps` finds the times at which a number jumps.
+    A `Reading` holds numbers that depend on time; here, the value is the only number. The function
+    `jumps` finds the times at which one of the numbers jumps.
     """
     return Reading(None, (signal(time),))

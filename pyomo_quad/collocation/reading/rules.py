@@ -254,7 +254,7 @@ class _Translator:
     def _global(self, value: Any, function: FunctionType) -> Any:
         """Return the value of a global variable of `function`, translated to refer to the clone.
 
-        A function from another module is returned unchanged.
+        A value that is a function of another module than that of `function` is returned unchanged.
         """
         is_foreign = isinstance(value, FunctionType) and (
             value.__globals__ is not function.__globals__

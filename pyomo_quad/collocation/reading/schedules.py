@@ -1,9 +1,9 @@
 """Rules that branch on time, as data over time for compiled equations.
 
 A rule that branches on its time, or looks up numbers by it, is called at many times. Its results
-have the same form if only numbers in them differ. The compiled equations contain all forms. At each
-collocation point, they read which form applies, and those of its numbers that vary. Bisection finds
-the times at which these data jump.
+have the same form if only numbers in them differ. The compiled equations contain all forms. Data at
+each collocation point select the form that applies, and give the numbers that vary between results
+of one form. Bisection finds the times at which these data jump.
 
 Declared times are the members of the continuous set. A pickle stores piecewise polynomials of time
 instead of the rule.
@@ -127,8 +127,9 @@ class Schedule:
     """Rule that branches on time, as a few compiled forms and their numbers over time.
 
     `say` maps a time to the rule's result. To find forms and jumps, it is called between the
-    declared times `times`, and just before and after each. For a result at a time t, ``place(t)``
-    is passed to `say`: for example, one time for an interval in which the result is the same.
+    declared times `times`, and just before and after each. The result at a time t is
+    ``say(place(t))``. By default, ``place(t)`` is t. If the result is constant between declared
+    times, `place` may map all times between two of them to their midpoint, to call the rule once.
 
     Attributes
     ----------
@@ -198,10 +199,10 @@ class Schedule:
         return found
 
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
-        """Assign the result of a rule to its form, or register the form if it is new.
+        """Assign a rule's result to its form, or register a new form.
 
         `found` has form and numbers of `statement`, the result at `time`. A `TranscriptionError` is
-        raised for too many forms; after compilation, for a new form or changed constant.
+        raised for too many forms; after compilation, for a new form or another value of a constant.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -229,8 +230,8 @@ class Schedule:
     def row(self, time: float) -> list[float]:
         """Return the values of `slots` at one time: first the factors, then the numbers.
 
-        The factor of a form is 1 if the form applies at the time, else 0. With several forms, the
-        last one has no factor: it applies if all factors are 0.
+        Each form except the last has a factor: 1 if the form applies at the time, else 0. The last
+        form applies if all factors are 0. A single form has the factor 1.
         """
         return _remembered(self._rows, self._place(time), self._row)
 
@@ -249,9 +250,16 @@ class Schedule:
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
         """Return the parts of the rule's result, as CasADi expressions that hold at all times.
 
-        The parts are lower bound, body and upper bound, or a single expression. Items of `absent`
-        replace parts that are None. `write` translates a Pyomo expression, given an iterator over
-        replacements of its numbers: symbols of varying numbers, and the numbers that are constant.
+        The parts are lower bound, body and upper bound, or a single expression. Each part contains
+        all forms of the rule's result, and factors that select the form that applies.
+
+        Parameters
+        ----------
+        write : callable
+            Translates a Pyomo expression to CasADi. Its second argument iterates over the numbers
+            in the expression, in their order. Symbols replace the numbers that vary over time.
+        absent : sequence
+            For each part, the expression that replaces None.
         """
         forms = []
         for k, form in enumerate(self._forms.values()):
@@ -271,10 +279,10 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Give forms of a skipped constraint the body of another form, if this body is linear.
+        """Give forms that skip the constraint the body of another form, if this body is linear.
 
-        At some times, the rule may skip the constraint. With equal bodies, it can become a bound of
-        a variable. `forms` (lower bound, body, upper bound) is changed in place.
+        `forms` has a list (lower bound, body, upper bound) for each form, and is changed in place.
+        With equal bodies, the constraint can become a bound of a variable.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
@@ -352,11 +360,11 @@ def probes(times: Sequence[float]) -> list[float]:
 
 
 def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterator[float]:
-    """Yield, in rising order, the times at which a function of time jumps.
+    """Yield, in rising order, the times at which the results of `reading` jump.
 
-    A change of the reading's key is a jump. A change of a number is a jump if halving the interval
-    around it does not reduce the change. Jumps are searched between neighbouring `times`, which
-    rise.
+    Each result has a key and numbers. A change of the key is a jump. A change of a number is a jump
+    if halving the interval around it does not reduce the change. Jumps are searched between
+    neighbouring `times`, which are in rising order.
     """
     for start, end in pairwise(times):
         resolution = _RESOLUTION * max(abs(times[0]), abs(times[-1]), times[-1] - times[0])
@@ -388,7 +396,8 @@ def _steps(
 ) -> Iterator[float]:
     """Yield the times from `start` to `end` at which a number jumps, to within `resolution`.
 
-    All numbers of the `reading` are searched. Its form is the same at `start` and at `end`.
+    `reading` returns form and numbers of a rule's result at a time. All numbers are searched. The
+    form at `start` equals that at `end`.
     """
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
@@ -525,7 +534,7 @@ class Interpolant:
         return Reading(None, tuple(self.row(time)))
 
     def __call__(self, time: float) -> float:
-        """Return the value, at a time, of the first of the interpolated functions."""
+        """Return the value at a time, for an interpolant of a single function."""
         return self.row(time)[0]
 
 

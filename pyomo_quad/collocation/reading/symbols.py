@@ -4,9 +4,9 @@ A clone of the model has an additional interior time in its continuous set, the 
 member of a constraint at this time is translated to CasADi, and imposed at every collocation point.
 
 The declared times are the members of the set in the user's own model. A declared time is usually a
-physical time. For a free time, a static variable (variable without time) is the physical time. Free
-times inside the horizon divide it into phases. The fraction of the horizon is 0 at the first and 1
-at the last declared time.
+physical time. A free time is a declared time whose physical time is a static variable (variable
+without time). Free times inside the horizon divide it into phases. The fraction of the horizon is 0
+at the first and 1 at the last declared time.
 """
 
 from __future__ import annotations
@@ -43,9 +43,10 @@ class TimeSymbol:
     Attributes
     ----------
     is_read : bool
-        Whether the rule read `number`, so that its result may not hold at other times. A comparison
-        with one of the times `declared` does not count: its result changes at that time only.
-        Callers that give `declared` call the rule anew between any two of these times.
+        Whether the rule read `number`, so that the rule's result may not hold at other times. A
+        comparison with one of the times `declared` leaves the attribute unchanged. Its result is
+        the same at all times between two neighbouring declared times. Callers that give `declared`
+        call the rule separately for each declared time, or for each interval between them.
     """
 
     def __init__(
@@ -149,11 +150,12 @@ for _operation in (
 
 
 class Instant(float):
-    """Number `time` that a rule receives as its time; as an index, it is the time `template`.
+    """Number that a rule receives as its time; as an index, it selects the template time.
 
-    In arithmetic, and in a comparison by <, <=, > or >=, its value is `time`. An index such as
-    ``m.x[t]`` selects the variable at the template time. Pyomo looks up an index by equality, so
-    ``t == 2`` compares `template` with 2.
+    In arithmetic, and in a comparison by <, <=, > or >=, its value is `time`, any physical time in
+    the horizon. The clone has no variables at undeclared physical times. As an index, as in
+    ``m.x[t]``, the number therefore equals `template`, the template time. Pyomo looks up an index
+    by equality, so ``t == 2`` compares `template` with 2.
     """
 
     __slots__ = ("template",)
@@ -185,8 +187,9 @@ RegisterNumericType(Instant)
 class _TrapezoidProbe:
     """Stand-in for the block of an integral: its continuous set consists of two equal times.
 
-    The rule of a `pyomo.dae.Integral` sums trapezoids between these times. Both are `symbol`, whose
-    difference from itself is defined as 1. The trapezoid's area is therefore the integrand.
+    The rule of a `pyomo.dae.Integral` sums trapezoids between these times. Both times are `symbol`,
+    whose class defines its difference from itself as 1. The trapezoid's area is therefore the
+    integrand.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -235,7 +238,7 @@ class Address:
     component : str
         Full name of the component.
     index : tuple
-        Index of the member without time.
+        Index of the member, from which the time is left out.
     time : float or None
         Time of the member; None if the component is not indexed by time.
     """
@@ -676,10 +679,11 @@ class SymbolTable:
         return said is symbol
 
     def _signal(self, data: Any, address: Any) -> Any:
-        """Return the symbol of the member `data` of a parameter over time, with its `Address`.
+        """Return the CasADi symbol of `data`, a member of a parameter over time.
 
-        At the template time, it stands for a function of time, else for a value. For a rule as
-        ``lambda m, t: t``, the result expresses physical time.
+        `address` has index and time. The symbol stands for a function at the template time, for a
+        value at a declared time. If the parameter's rule returns its time, the result is physical
+        time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)

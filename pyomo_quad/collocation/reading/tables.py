@@ -281,8 +281,8 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return the CasADi expression of a Python function's call, None if the function needs numbers.
 
-    `inputs` are the call's arguments in CasADi, `stated` the same in Pyomo. At 20 random points
-    between the bounds of `stated`, both must agree. Otherwise, the result is None.
+    `inputs` are the call's arguments in CasADi, `stated` the same in Pyomo. The result is also None
+    if function and expression differ at one of 20 random points.
     """
     if function._fcn is None:  # noqa: SLF001
         return None
@@ -324,8 +324,9 @@ def _range(argument: Any) -> tuple[float, float]:
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     """Return the spline through samples of a function that can only be called with numbers.
 
-    Samples lie between the bounds of `stated`, the arguments in Pyomo. A `TranscriptionError` is
-    raised for more than two arguments, missing bounds, failure of the function, or low accuracy.
+    Samples lie between the bounds of `stated`, the Pyomo arguments. `owner` names the
+    component in messages. A `TranscriptionError` is raised for over two arguments, missing bounds,
+    failure, or low accuracy.
     """
     name = function.name
     if len(stated) not in _SAMPLES:

@@ -146,8 +146,8 @@ class ModelValues:
         Raises
         ------
         TranscriptionError
-            If a name is no component or an immutable parameter, or if a value is a function of time
-            although times are free.
+            If the model has no component of a given name, or this component is an immutable
+            parameter. It is also raised if a value is a function of time although times are free.
         """
         named = {
             key.name
@@ -178,8 +178,8 @@ class ModelValues:
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
         """Return the value of one parameter without time.
 
-        `ends` has start and end of the horizon under the names of their parameters. `named` has the
-        caller's values by full name. The value comes from `ends`, `named` or the model, in this
+        `ends` has the values of the parameters ``horizon.start`` and ``horizon.end``. `named` has
+        the caller's values by full name. The value comes from `ends`, `named` or the model, in this
         order.
         """
         if slot.name in ends:
@@ -199,9 +199,9 @@ class ModelValues:
         Raises
         ------
         TranscriptionError
-            If a parameter over time that the caller did not give has no rule and is not constant,
-            or if its rule fails or differs from its values in the model. The returned function
-            raises the error if a rule fails or returns an expression that was not compiled.
+            If the caller gave no value for a parameter over time, and the model has no usable one.
+            Usable are a constant, and a rule that returns the model's values. The returned function
+            raises the error if a rule fails, or returns an expression that was not compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -228,10 +228,10 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the rising fractions of the horizon at which time-dependent data may jump.
 
-        These include the declared times inside the horizon. An override that is a `Steps` object, a
-        piecewise constant function, contributes no jumps: simulations restart at its steps instead.
-        Without time-dependent data, the result is empty. `horizon` is by default the range of the
-        continuous set.
+        These include members of the continuous set inside the horizon. An override that is a
+        `Steps` object, a piecewise constant function, contributes no jumps: simulations restart at
+        its steps instead. Without time-dependent data, the result is empty. `horizon` is by default
+        the range of the continuous set.
         """
         if not self._declared.has_signals:
             return ()

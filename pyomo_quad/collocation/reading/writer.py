@@ -239,9 +239,9 @@ _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 class TemplateWriter:
     """Translator of a model's components to CasADi expressions, for all times.
 
-    Private methods call a component's rule by `say`, which maps a time to a `Statement`. The time
-    is an `Instant` or a `TimeSymbol`. A `Statement` is the rule's result: bounds and body of a
-    constraint, or a single Pyomo expression. `name` is the component's name, for messages.
+    Some private methods have a parameter `say`, a function that calls the rule of a component. It
+    maps a time, an `Instant` or a `TimeSymbol`, to the rule's result, a `Statement`. Their
+    parameter `name` is the name of this component, for messages.
 
     Parameters
     ----------
@@ -256,8 +256,8 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of tables found so far.
     schedules : list of Schedule or Phases
-        A `Schedule` for each rule that branches on time or looks up numbers by time. Also a
-        `Phases` object if there are several phases.
+        A `Schedule` for each rule that branches on time or looks up numbers by time. If free times
+        divide the horizon into phases, the first item is a `Phases` object.
     """
 
     def __init__(
@@ -349,12 +349,15 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return a variable's bounds for all times, if a user changed the bounds after declaration.
 
-        The result is None if bounds were changed nowhere, or at single declared times only.
+        The result is None if at one or more of the declared times the bounds are unchanged. It is
+        also None if a state has different changed bounds at these times: they apply there only. A
+        state that is fixed at a declared time is treated like a variable that is no state.
 
         Raises
         ------
         TranscriptionError
-            If it is unclear which bounds apply between the declared times.
+            If the bounds were changed at every declared time: to the same bounds for a state, or
+            to different bounds for another variable.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -575,9 +578,10 @@ class TemplateWriter:
     def named(self, expression: Any) -> Any:
         """Return the CasADi expression that replaces a named Pyomo expression or an integral.
 
-        An integral over this horizon is replaced by its symbol. A named expression at the template
-        time is replaced by the translated result of its rule. In all other cases, and without a
-        rule, the result is None: the definition of the expression is then translated.
+        An integral over the model's horizon is replaced by its symbol. A named expression at the
+        template time is replaced by the translated result of its rule. The result is None if it has
+        no rule, and in all other cases. The caller then translates the definition of the
+        expression.
         """
         component = expression.parent_component()
         if component is None:
@@ -608,8 +612,8 @@ class TemplateWriter:
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
         """Return a parameter, in a model with free times, as a CasADi expression.
 
-        A rule over time is translated. Depending on `address`, the result is then a function of
-        time or the value at a declared time. Otherwise, it is a symbol.
+        `data` is a Pyomo data object. A parameter with a rule over time becomes a function of time.
+        At a declared time in `address`, it becomes its value. Others become symbols.
         """
         component = data.parent_component()
         rule = rule_of(component)
@@ -651,7 +655,10 @@ class TemplateWriter:
 
 
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
-    """Return the result of calling a rule with a symbol in place of time; None if that fails."""
+    """Return the result of calling a rule with a symbol for time; None if it raises an exception.
+
+    `say` maps a time, or a symbol for it, to the rule's result.
+    """
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
         with LoggingIntercept(None, "pyomo.core"):
@@ -675,9 +682,9 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Return a rule's result, with each part that is a `TimeSymbol` replaced by a Pyomo parameter.
+    """Return a rule's result, with each `TimeSymbol` in its tuple `parts` replaced by a parameter.
 
-    The `TimeSymbol` takes the place of time in the rule. The parameter stands for physical time.
+    A rule gets a `TimeSymbol` in place of a time. The Pyomo parameter stands for physical time.
     """
     # Inside expressions, Pyomo has already put the parameter in place of the symbol.
     # The symbol is no Pyomo object.

@@ -40,8 +40,8 @@ def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which only limits on controls switch.
 
     A limit on controls contains algebraic variables only. It switches where it becomes active or
-    inactive. Element boundaries that the problem itself requires do not count: see
-    `known_boundaries`. An element is left out if any other limit switches in or beside it.
+    inactive, except at the element boundaries that `known_boundaries` returns. An element is left
+    out if any other limit switches in or beside it.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     # A costate may jump where a limit on a state or a rate (time derivative of a state) switches.

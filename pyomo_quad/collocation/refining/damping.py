@@ -6,8 +6,7 @@ and changes from mesh to mesh. Damping is a penalty on the distance from the smo
 previous mesh: see docs/theory/refinement.md, eq. (9).
 
 The complementarity gap is the error that Ipopt's barrier leaves in the objective. A damped solve
-may stop at a larger gap than usual. If many controls have nearly the same objective, they then
-change less from mesh to mesh.
+may stop at a larger gap than usual.
 """
 
 from __future__ import annotations
@@ -56,6 +55,7 @@ class Damping:
     solution: Solution
     controls: NDArray[np.intp]
     prices: FloatArray
+    # At a larger gap, controls that hardly affect the objective change less from mesh to mesh.
     gap: float
     is_still: bool
 
@@ -107,9 +107,10 @@ class Damping:
 
 
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Return values smoothed in each element by a least-squares polynomial, at `fractions`.
+    """Return functions smoothed in each element by a least-squares polynomial of lower degree.
 
-    The polynomial has about half the element's degree. `values` has the shape (n_points, k).
+    `values` are those at the collocation points, shape (n_points, k). The result has the smoothed
+    values at the times `fractions`, fractions of the horizon, shape (n_fractions, k).
     """
     starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
     element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
@@ -127,7 +128,8 @@ def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArr
 def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the midpoint of each element, and the means of several functions over each element.
 
-    The shapes are (n_elements,) and (n_elements, k). Midpoints are fractions of the horizon.
+    `values` are those of k functions at the collocation points, shape (n_points, k). The results
+    have the shapes (n_elements,) and (n_elements, k). Midpoints are fractions of the horizon.
     """
     weights = mesh.quadrature_weights[:, None]
     columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])

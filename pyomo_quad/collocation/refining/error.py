@@ -40,7 +40,7 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
 
     `errors` are those at each element's end, shape (n_elements, n_states). The linearised equations
     propagate them in open loop: see docs/theory/refinement.md, eq. (3). The result has the same
-    shape, and magnitudes relative to max(1, abs(final state)).
+    shape. It is the absolute value of the change divided by max(1, abs(final state)).
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -91,17 +91,18 @@ _START = 1e-6
 class Allowance:
     """Tolerances of the error estimate for a simulated flight with the controls of a solution.
 
-    The flight is in open loop: the controls are functions of time, without feedback from the
-    states. If feedback corrects the controls before or during the flight, `state_error` is given.
+    By default, the flight is in open loop: the controls are functions of time, without feedback
+    from the states. `state_error` is given if feedback corrects the controls: in flight, or in a
+    simulation before it.
 
     Attributes
     ----------
     control_breach : float
         Tolerable violation of a control's bound between the collocation points, relative to max(1,
-        abs(bound)). If a violation exceeds it, the control is clipped to the bound widened by it.
-        The error estimate then includes the effect of clipping on the states. A smaller violation
-        enters the estimate by its effect on the states. A bound that varies with time clips no
-        control: a larger violation of it enters the estimate itself.
+        abs(bound)). A smaller violation enters the error estimate by its effect on the states. If a
+        violation of a constant bound exceeds the tolerance, the control is clipped to the bound
+        widened by the tolerance. The estimate includes the effect of clipping on the states. If a
+        bound varies with time, a violation above the tolerance enters the estimate itself.
     limit_breach : float
         Tolerable violation of any other limit, relative to max(1, abs(limit)). A larger violation
         enters the error estimate itself, a smaller one by its effect on the objective.
@@ -125,8 +126,9 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    The errors `objective` to `integrals` add up over the elements. They are extrapolated to the
-    whole horizon: see docs/theory/refinement.md, eq. (2).
+    The errors `objective` to `integrals` of the n elements add up. Each entry is therefore
+    extrapolated: ``min(n * error of the element, sum of the errors of all elements)``. See
+    docs/theory/refinement.md, eq. (2).
 
     Attributes
     ----------
@@ -140,7 +142,7 @@ class ErrorEstimate:
     switches : ndarray, shape (n_elements,)
         Possible cost of misplaced control switches.
     costs : ndarray, shape (n_elements,)
-        Twice `objective`, relative to the objective itself.
+        Twice `objective`, but relative to the objective's value instead of its nominal magnitude.
     restraint : ndarray, shape (n_elements,)
         Twice the increase of the objective by those bounds that the solve imposed between the
         points; zero if there were none.
@@ -175,7 +177,10 @@ class ErrorEstimate:
 
     @property
     def per_element(self) -> FloatArray:
-        """Largest error in each element, over all kinds of error, shape (n_elements,)."""
+        """Largest error in each element, shape (n_elements,).
+
+        It covers all attributes except `gap` and `is_clipped`.
+        """
         return np.maximum.reduce(
             [
                 self.states.max(axis=1, initial=0.0),
@@ -219,11 +224,11 @@ def estimate_error(
     solution : Solution
     tolerance : float
         Tolerance of the mesh refinement, with which all errors of the result are to be compared.
-        The errors `switches` and `costs` are estimated only if those in all elements meet it.
+        The errors `switches` and `costs` are zero unless all other errors in all elements meet it.
     allowance : Allowance, optional
-        Other tolerances. If `state_error` is given, the errors of the states are multiplied by
+        Other tolerances. If its `state_error` is given, the errors of the states are multiplied by
         ``tolerance / state_error``. Errors of the final states are multiplied by ``tolerance /
-        final_miss``, which is zero by default.
+        final_miss``. By default, `final_miss` is infinite, and this factor is zero.
     """
     allowance = allowance or Allowance()
     finer, free, panels = _sampled(solution, _finer_places, _dense_places, _panelled_places)
@@ -373,10 +378,11 @@ def _sampled(
 ) -> list[_Samples]:
     """Evaluate the path equations on several grids at once, and return the samples of each grid.
 
-    A grid maps an element's degree to times up to 1, its end. With `is_defined`, equations that
-    define algebraic variables are solved. Otherwise, their polynomials are evaluated.
+    A grid maps a degree to times between 0 and 1, the element's start and end. With `is_defined`,
+    equations that define algebraic variables are solved. Otherwise, polynomials are evaluated.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
+    # The last time of each grid is 1.
     places = [grid(d) for grid in grids for d in mesh.degrees]
     ends = np.cumsum([len(p) for p in places])
     elements = np.tile(np.arange(mesh.elements), len(grids))
@@ -492,8 +498,8 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    It is relative to the objective's nominal magnitude, and extrapolated to the whole horizon: see
-    docs/theory/refinement.md, eq. (2). `moved` comes from `_state_corrections`.
+    It is relative to the objective's nominal magnitude. The effects are extrapolated by `_of_all`:
+    see docs/theory/refinement.md, eq. (2). `moved` comes from `_state_corrections`.
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
@@ -506,20 +512,20 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 def _restraints(solution: Solution) -> FloatArray:
     """Return the cost of bounds that were imposed between the points, shape (n_elements,).
 
-    The cost is their estimated increase of the objective, from `Solution.restraint`. It is divided
-    by the objective's nominal magnitude and by `_RESTRAINT_SHARE`. `_of_all` extrapolates it to the
-    whole horizon.
+    The cost is twice their estimated increase of the objective, from `Solution.restraint`, relative
+    to the objective's nominal magnitude. The result is extrapolated by `_of_all`.
     """
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
+    # Divided by this share, because the cost may use up only half of the tolerance.
     return _of_all(solution.restraint.cost / solution.nominal_objective / _RESTRAINT_SHARE)
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
     """Return each element's error extrapolated to the whole horizon of n elements.
 
-    `shares` has the error of each element alone. The result is ``min(n * error, sum of the errors
-    of all elements)``: see docs/theory/refinement.md, eq. (2).
+    `shares` has the error of each element alone. The result for an element is ``min(n * error, sum
+    of the errors of all elements)``: see docs/theory/refinement.md, eq. (2).
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -527,9 +533,9 @@ def _of_all(shares: FloatArray) -> FloatArray:
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
-    The finer quadrature rule `_panelled` uses `samples`. Its integrals are compared with those of
-    the collocation points. Errors are relative to max(1, abs(integral)), or to the objective's
-    nominal magnitude. `_of_all` extrapolates them.
+    `samples` belong to the finer rule `_panelled`. An integral's error is relative to max(1,
+    abs(integral)). The effect of all on the objective is relative to its nominal magnitude.
+    `_of_all` extrapolates both.
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -572,9 +578,10 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
     """Return a measure of each element's effect on the final states, shape (n_elements,).
 
-    For the worst final state, it is ``weight * error * contribution / largest contribution``. An
-    element's contribution is the effect of its state errors. The error is the sum of contributions.
+    It is ``weight * error * contribution / largest contribution`` for the final state with the
+    largest error. Contributions come from `final_misses`; the error is their sum over the elements.
     """
+    # `weight` is the tolerance of the refinement divided by that of the final states.
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
     misses = final_misses(solution, np.array([m[-1] for m in moved]))
@@ -589,8 +596,9 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    All violations are relative. Residuals of equations are multiplied by `weight`. A violation
-    within its tolerance in `allowance` counts by its estimated effect on states or objective.
+    Violations are relative. Residuals of equations are multiplied by `weight`. A limit's violation
+    counts in full if it exceeds its tolerance in `allowance`, otherwise by its effect on states or
+    objective.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

@@ -95,8 +95,9 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control and the Hamiltonian for them, shape (n_points,) each.
 
-    The values are equally spaced between the bounds. Minima of parabolas through local minima among
-    them follow. `at` maps control values at the collocation points to the Hamiltonian there.
+    First come values equally spaced between the bounds, and last the minima of parabolas. Each
+    parabola passes through a local minimum and its neighbours. `at` maps control values to the
+    Hamiltonian.
     """
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
@@ -214,8 +215,9 @@ def state_error(
         Solution on the previous mesh, for its difference from `solution`. It is given only if
         limits become active or inactive inside elements.
     change : float
-        Relative change of the objective, for the estimate on singular arcs. It is the smallest of
-        the changes since the previous mesh and since earlier meshes that met the tolerance.
+        Relative change of the objective, for the estimate on singular arcs. The objective is
+        compared with that on the previous mesh, and on each earlier mesh that met the tolerance.
+        The smallest absolute difference counts; it is 0 on the first mesh.
     """
     # The result is the largest of several estimates. The first two are the largest error of the
     # solution, and twice the sum of a state's errors over all elements, for the worst state.

@@ -7,6 +7,7 @@ Terms (see docs/theory/refinement.md):
 - Complementarity gap: error that Ipopt's barrier leaves in the objective, eq. (16).
 - Settled objective: its relative change since the previous mesh, or since an earlier mesh that met
   the tolerance, is at most half the tolerance.
+- Horizon: interval of time with its own mesh. A joint problem has several, such as phases.
 - Restart: new start of the refinement from controls with a lower Hamiltonian.
 - Nominal magnitude of the objective: `Solution.nominal_objective`.
 - Strategy: way to solve on a mesh, for example from the previous solution or with stronger damping.
@@ -82,8 +83,8 @@ def refine(
     """Solve on finer meshes until the error estimate meets the tolerance.
 
     If controls are damped, or limits become active or inactive inside an element, the objective
-    must have settled, too. This does not apply if `refinement.allowance` has a `state_error`: a
-    simulation with feedback then follows. A result that falls short has
+    must have settled, too. It need not settle if `refinement.allowance.state_error` is given: the
+    caller then simulates the solution with feedback. A result that falls short has
     `Status.TOLERANCE_NOT_MET` or its last solve's status.
 
     Parameters
@@ -292,7 +293,8 @@ class _Refinement(Generic[S]):
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
         """Estimate the errors of a solution, and reduce its complementarity gap if necessary.
 
-        The result is the last solution, with its errors on each horizon.
+        If a further solve reduces the gap, the result is the solution of that solve, otherwise
+        `solved`; and its errors on each horizon.
         """
         errors = self._errors(solved)
         # A solve with damping may stop at a large gap on purpose: later solves on finer meshes
@@ -330,8 +332,8 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        `is_damped` states whether the solve that led to `solution` damped controls. Unless a
-        simulation with feedback follows, the objective must then settle first.
+        For the conditions of the end, see `refine`. `is_damped` states whether the solve that led
+        to `solution` damped controls.
         """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
@@ -394,7 +396,8 @@ class _Refinement(Generic[S]):
     def _expected_change(self) -> float | None:
         """Return the expected change of the objective to the next meshes: the previous change.
 
-        It is in the unit of the objective, and None on the first two meshes and after a restart.
+        It is in the unit of the objective. It is None before the solves on the first two meshes,
+        and before the first solve after a restart.
         """
         last = self.before[0]
         if last is None:
@@ -405,9 +408,9 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        It is 0.3 times the largest error of objective and integrals. With bounds between the
-        points, the objective's last change counts, too. It is at most 1e-3, at least 0.2 times the
-        tolerance.
+        It is 0.3 times the largest error of objective and integrals, but from 0.2 times the
+        tolerance to 1e-3. With bounds imposed between collocation points, the objective's last
+        change replaces a smaller error.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -421,8 +424,8 @@ class _Refinement(Generic[S]):
 def _firmer(firmness: float, settled: int) -> float:
     """Return the increased factor on the damping, max(firmness, min(5 firmness, most)).
 
-    `settled` counts the meshes on which the objective was settled. `most` is 25 up to 3 of them,
-    125 from 4 to 7, and infinite from 8.
+    `settled` counts the damped meshes with settled objective. `most` is 25 if `settled` < 4, 125 if
+    4 <= `settled` < 8, and infinite otherwise.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -462,7 +465,8 @@ class _MeshSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S:
         """Solve on the next meshes with one strategy, and return the result, converged or not.
 
-        If the strategy increases the damping, the attributes `dampings` and `change` are updated.
+        If `strategy.is_firm`, the attribute `dampings` is replaced by stronger dampings. The
+        attribute `change`, the expected change of the objective, becomes None (unknown).
         """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
@@ -476,8 +480,8 @@ class _MeshSolve(Search[S], Generic[S]):
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
     """Return copies of dampings, with a smaller complementarity gap for a more accurate solve.
 
-    A damping's attribute `gap` is the gap at which a solve is to stop. It becomes at most 0.2 times
-    `tolerance` times the nominal magnitude of the objective. None remains None.
+    A solve stops at the `gap` of its damping. The new gap is at most 0.2 times `tolerance` times
+    the nominal magnitude of the objective. None (no damping) remains None.
     """
     least = _LEAST_INEXACT * tolerance
     return tuple(
@@ -495,8 +499,8 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a converged solution.
 
-    The complementarity gap must exceed `tolerance`, or the scaled objective must be too small for
-    Ipopt's convergence test. No element's error may exceed the limit `fine`.
+    The result is True if no element's error exceeds `fine`, and the complementarity gap exceeds
+    `tolerance`. The gap need not exceed it if the scaled objective is below 1e-6.
     """
     (part,), (error,) = solution.parts, errors
     # `switches` and `costs` are not counted: they are estimated only if all other errors meet the
@@ -515,8 +519,8 @@ def _is_limited_by_the_barrier(
 class _Reached(Generic[S]):
     """Solution that met the tolerance, kept while the refinement restarts from other controls.
 
-    Later solutions are compared with it. The improvement of the objective from it to a later
-    solution is relative to the objective's nominal magnitude.
+    The methods compare later solutions with the kept solution. The improvement is the relative
+    difference of their objectives, which the method `gain` returns.
     """
 
     solution: S
@@ -557,9 +561,9 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    Without a restart, it is `ended`, otherwise the solution from before the restart (`reached`).
-    `_doubted` marks it, unless solutions since improved the objective by at most their own error
-    plus `tolerance`.
+    Without a restart, it is `ended`, otherwise the solution before the restart (`reached`). Its
+    status is `TOLERANCE_NOT_MET` if no solution followed, or if one improved the objective by
+    more than its error plus `tolerance`.
     """
     if reached is None:
         return ended

@@ -319,7 +319,7 @@ def _finer(
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
     """Split element `e` into `count` equally wide elements of the given degree.
 
-    `size` is the estimated error of the element; each part gets the same error.
+    `size` is the estimated error of the element. It is recorded as the error of each part, too.
     """
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]

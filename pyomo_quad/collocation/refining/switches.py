@@ -80,9 +80,9 @@ def _hamiltonians(
 ) -> FloatArray:
     """Return the Hamiltonian at n collocation points, by two kinds of costates, shape (2, n).
 
-    `points` has the indices of the points. Time-dependent parameters are evaluated at the times
-    `fractions`. Time is a fraction of the horizon. The first row uses integrated costates, the
-    second costates from multipliers.
+    `points` are the points' indices. Time-dependent parameters are evaluated at `fractions`, n
+    fractions of the horizon. The first row uses integrated costates, the second costates from
+    multipliers.
     """
     program, n = solution.program, solution.program.layout.n_states
     variables = program.path_variables(solution.unknowns)[points]
