@@ -209,6 +209,19 @@ def test_settings_that_break_a_limit_cost_more_than_their_energy():
     assert slow.cost_J == slow.energy_J
 
 
+@pytest.mark.lengthy
+def test_an_autopilot_is_tuned_where_the_plan_knew_another_wind(monkeypatch):
+    monkeypatch.setattr(autopilot, "_FLIGHTS", 4)
+    blowing = {"use": "constant", "speed": 1.0, "forecast": {"use": "calm"}}
+    told = mission(wind=blowing, solver={"accuracy": "quick"})
+    plan = PLANNER.solve(told)
+    tuning = tune_cruise(told, plan, PLANNER)
+    assert has_arrived(tuning.flight)
+    assert tuning.flight.broken_limits == ()
+    # The costates of the plan are those of calm air.
+    assert np.isnan(tuning.flight.owed_energy_J)
+
+
 def test_an_autopilot_without_any_flight_within_the_limits_says_so(monkeypatch):
     settings = CruiseSettings(speed=6.0, acceleration=3.0, jerk=4.0)
     lost = TriedCruise(
