@@ -340,10 +340,9 @@ class Candidate:
     def past_waypoints(self) -> str | None:
         """Solve the failed mission again, starting from the solution of an easier mission.
 
-        The easier mission passes exactly through the waypoints, at any speed. The limits on
-        distance and speed, which make a first solve difficult, are thus absent. A new solution is
-        kept if its solve succeeds. The result is the solver's status, or None without a solution of
-        the easier mission.
+        In the easier mission, the vehicle passes exactly through the waypoints, at any speed. A new
+        solution is kept if its solve succeeds. The result is the solver's status, or None without a
+        solution of the easier mission.
         """
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()

@@ -111,9 +111,10 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     """Read points of steady flight from a CSV file, and complete missing columns.
 
     The columns are some of `STEADY_COLUMNS`. Missing payloads and air densities are those of the
-    scenario; missing airspeeds and climbs are 0. A missing power follows from the endurance. If
-    both are missing, the file is unreadable, a value is impossible, or the power seems to be in kW
-    or mW, a ScenarioError is raised.
+    scenario; missing airspeeds and climbs are 0. A missing power follows from the endurance.
+
+    ScenarioError is raised if the file is unreadable, if both power and endurance are missing, if a
+    value is impossible, or if the power seems to be in kW or mW.
     """
     points = filled_in(_read_csv(file), scenario)
     for name in points:

@@ -484,7 +484,8 @@ def _has_places(
     - `wind.beyond` is not "hold";
     - the mission has one leg, without position tolerance at its ends;
     - the thrust `standing` for zero airspeed is vertical;
-    - the corners `winds` of all winds are horizontal and not all equal.
+    - the rows of `winds` are horizontal and not all equal. They are the corners of a polyhedron
+      that contains every wind of the mission.
     """
     return (
         scenario.wind.beyond is not Beyond.HOLD
