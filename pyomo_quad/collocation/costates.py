@@ -90,7 +90,7 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix R such that R v is the residual of a smooth fit to an element's values v.
+    """Return the matrix R that maps the values in an element to the residual of a smooth fit.
 
     The values belong to the left end and the d collocation points. The fit by least squares has
     the degree max(d - 2, 0).

@@ -233,11 +233,11 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return without_bound(found) if diverged else with_surplus(found)
 
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
-        """Solve without redundant conditions, such as an end condition on a conserved quantity.
+        """Solve without the conditions that follow from other constraints.
 
-        `solve_on` maps (mesh, start) to a solution. `mesh` is None for a model without time. The
-        result is None if no condition is redundant, the solve fails, or a redundant condition is
-        violated.
+        An example is an end condition on a conserved quantity. `solve_on` maps (mesh, start) to a
+        solution. `mesh` is None for a model without time. The result is None if no condition is
+        redundant, the solve fails, or a redundant condition is violated.
         """
         # Redundant conditions are detected at a point of least constraint violation near the start.
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))

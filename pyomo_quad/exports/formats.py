@@ -200,10 +200,11 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 
 
 def origin_of(text: str) -> GeodeticOrigin:
-    """Convert a text such as "47.3977,8.5456,488" to latitude, longitude [deg] and altitude [m].
+    """Return latitude [deg], longitude [deg] and altitude [m] from a text with commas.
 
-    The text is the value of the command-line option ``--origin``. If it is not three numbers or not
-    a position on the globe, a ScenarioError is raised.
+    An example is "47.3977,8.5456,488". The text is the value of the command-line option
+    ``--origin``. If it is not three numbers or not a position on the globe, a ScenarioError is
+    raised.
     """
     try:
         given = dict(zip(GLOBE, map(number_in_text, text.split(",")), strict=True))
@@ -407,7 +408,7 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
 
 
 def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> GeodeticOrigin:
-    """Return the position on earth of the plan's origin: as `given`, or else that of the mission.
+    """Return `given`, or the mission's origin on earth if `given` is None.
 
     Raises
     ------

@@ -23,7 +23,7 @@ Subject = TypeVar("Subject")
 
 
 class Strategy(NamedTuple, Generic[Subject]):
-    """One way to improve a subject, such as a `Candidate` (the best solution of a mission so far).
+    """One way to improve a subject, for example a `Candidate` for the plan of a mission.
 
     Attributes
     ----------

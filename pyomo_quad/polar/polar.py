@@ -106,11 +106,13 @@ class SteadyCurve:
             return np.asarray((self.power(airspeed(ground_speed)) + price_of_time) / ground_speed)
 
         ahead = self.airspeeds[-1] ** 2 - across**2
-        fastest = along + np.sqrt(ahead) if ahead >= 0.0 else 0.0
+        # Greatest airspeed along the course; -inf if the cross wind is faster than the vehicle.
+        forward = np.sqrt(ahead) if ahead >= 0.0 else -np.inf
+        fastest = along + forward
         if fastest <= _SLOWEST_GROUND_SPEED:
             return GroundSpeed(ground_speed=0.0, airspeed=np.nan, power=np.nan, endurance=0.0)
         # In a strong tail wind, a slow flight over ground would need too much airspeed against it.
-        slowest = max(_SLOWEST_GROUND_SPEED, along - np.sqrt(ahead))
+        slowest = max(_SLOWEST_GROUND_SPEED, along - forward)
         best = _least(cost, np.linspace(slowest, fastest, _TRIALS))
         at = float(airspeed(best))
         return GroundSpeed(

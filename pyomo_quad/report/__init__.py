@@ -17,8 +17,9 @@ class Figures(StrEnum):
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """File endings of the files of each figure, such as ``("svg", "png")`` for `ALL`.
+        """Endings of the files that are written for each figure.
 
-        The report displays the file with the first ending. The result is empty for `NONE`.
+        For `ALL`, they are ``("svg", "png")``. The report displays the file with the first ending.
+        The result is empty for `NONE`.
         """
         return {"all": ("svg", "png"), "none": ()}.get(self, (str(self),))

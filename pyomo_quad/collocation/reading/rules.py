@@ -132,7 +132,7 @@ def refuse_changed_members(copy: Any) -> None:
     # Equations over time are read by calling the rule again. The call would not show a change by
     # Pyomo's method `set_value`.
     for component, rule in _with_rules(copy):
-        for index in tuple(component):
+        for index, member in component.items():
             try:
                 stated = rule(component.parent_block(), index)
             except Exception as error:
@@ -142,10 +142,10 @@ def refuse_changed_members(copy: Any) -> None:
                     "engine reads, or discretise the model before it is transformed."
                 ) from error
             if component.ctype is Constraint:
-                stated = type(component[index])(expr=stated).expr
-            if not _is_same(component[index].expr, stated):
+                stated = type(member)(expr=stated).expr
+            if not _is_same(member.expr, stated):
                 raise TranscriptionError(
-                    f"{component[index].name}: was changed after its rule made it; delete the "
+                    f"{member.name}: was changed after its rule made it; delete the "
                     "component and declare it anew with a rule that returns the changed expression."
                 )
 

@@ -170,7 +170,7 @@ class Schedule:
         self.slots = (*self._chosen, *(s for slots in self._numbers for s in slots))
 
     def _slot(self, what: str) -> Slot:
-        """Return a new `Slot` over time, named after the component and the description `what`."""
+        """Return a new `Slot` over time, whose name is "component (`what`)"."""
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
 

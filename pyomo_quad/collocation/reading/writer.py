@@ -202,7 +202,7 @@ class ExpressionWriter:
         raise self._unsupported(node.name if is_function else type(node).__name__)
 
     def _unsupported(self, what: str) -> TranscriptionError:
-        """Return the error for a function, named `what`, that cannot be translated."""
+        """Return the error for a function that cannot be translated; `what` is its name."""
         return TranscriptionError(
             f"{self._owner}: {what} is not supported; write it with smooth functions (for a "
             "switch: a tanh or sqrt smoothing)."
