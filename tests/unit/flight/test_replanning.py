@@ -284,7 +284,7 @@ def test_planned_again_in_a_wind_of_gusts_a_flight_costs_little_more_than_the_op
 
 @pytest.mark.slow
 def test_with_nothing_amiss_re_plans_cost_no_more_than_following_the_plan():
-    """Their coarse meshes cost 9e-5 of the energy; elements of 0.4 s cost 1.7e-4 when last tried."""
+    """Their coarse meshes cost 9e-5 of the energy; elements of 0.4 s cost 1.7e-4 when tried."""
     plan = flights.plan("delivery")
     mission = plan.mission_flown
     vehicle = flights.PLANNER.dynamics(mission)
